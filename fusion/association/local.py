@@ -1,8 +1,6 @@
 """Solves one visit by itself: finds every pose of its camera relative to the robot that the
 visit's pictures and the odometry between them allow."""
 
-from collections.abc import Iterator
-from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
@@ -12,8 +10,7 @@ from trigpoint.fusion.model.assembly import Assembled
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.gates import HUBER_SIGMAS
 from trigpoint.fusion.model.observations import Observation
-from trigpoint.fusion.model.prediction import base_jacobian, batch_residual
-from trigpoint.fusion.model.problem import Batch, CameraState, Problem, State
+from trigpoint.fusion.model.problem import CameraState, Problem, State
 from trigpoint.fusion.solver.equations import System
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
@@ -24,7 +21,6 @@ from .events import Events
 from .linear import Linear, linearised, log_priors, unknowns_of
 from .masks import likeliest_wrong
 from .mode import Mode
-from .sightings import wild_corners
 from .trial import Ending, Pictures, Trial, Work
 
 _MOST_ROUNDS = 10
@@ -117,11 +113,7 @@ class LocalProblem:
         chosen = zip(views, readings, strict=True)
         trial.chosen[:] = [view.readings.index(r) if r is not None else 0 for view, r in chosen]
         trial.wild[:] = np.concatenate([wild for row in mode.wild.values() for wild in row])
-        assembled = trial.assembled()
-        (batch,) = assembled.problem.batches
-        return linearised(
-            self.data, assembled, batch, [(row, None) for row in range(len(batch.nodes))]
-        )
+        return linearised(trial, by_pictures=True)
 
     def likeliest_wrong(self, mode: Mode) -> list[dict[int, tuple[bool, ...]]]:
         """The likeliest sets of wrong sightings, best first, by the visit linearised about a mode.
@@ -129,44 +121,19 @@ class LocalProblem:
         trial = Trial(self._pictures, mode.camera, self._stood(mode), self._flags({}))
         if trial.round(Work.READ) is Ending.NOTHING_FITS:
             return []
-        assembled = trial.assembled()
-        (batch,) = assembled.problem.batches
-        shown, parts = np.flatnonzero(~trial.wrong), list(self._parts())
-        linear = linearised(
-            self.data, assembled, self._tame(assembled, batch), [parts[view] for view in shown]
-        )
+        linear = linearised(trial, by_pictures=False)
         if linear is None:
             return []
         self.budget.spend_filtering(parts=len(linear.parts), unknowns=len(linear.prior))
         found = []
         for flags in likeliest_wrong(linear, self.data.jitter.get(self.robot), self.events):
-            wrong = np.ones(len(parts), dtype=bool)
-            wrong[shown[linear.parts]] = flags
+            wrong = np.ones(len(trial.wrong), dtype=bool)
+            wrong[linear.parts] = flags
             found.append(self._by_index(wrong.tolist()))
         return found
 
     def _stood(self, mode: Mode) -> Pose:
         return Pose.stack([mode.poses[index] for index in self.observations])
-
-    def _parts(self) -> Iterator[tuple[int, slice]]:
-        """For each view: the row of its picture, and its corners therein."""
-        for row, observation in enumerate(self.observations.values()):
-            for part in observation.parts:
-                yield row, part
-
-    def _tame(self, assembled: Assembled, batch: Batch) -> Batch:
-        """The batch without the corners that each sighting by itself shows to be wild."""
-        weights = np.zeros_like(batch.weights)
-        for row, observation in enumerate(self.observations.values()):
-            weights[row, : observation.corner_count] = 1 / observation.sigmas
-        whole = replace(batch, weights=weights)
-        residual = batch_residual(whole, assembled.start)
-        by_base = base_jacobian(whole, assembled.start)
-        parts = [(by_base[row, part], residual[row, part]) for row, part in self._parts()]
-        wild = wild_corners(parts, self.events.wild_score)
-        for (row, part), flags in zip(self._parts(), wild, strict=True):
-            weights[row, part] *= ~flags
-        return whole
 
     # -- the result -------------------------------------------------------------------------------
 

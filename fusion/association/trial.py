@@ -26,8 +26,7 @@ _MOST_STEPS = 12
 _DEVIATIONS, _FACES, _POINTS, _WEIGHTS = 10, 11, 12, 14
 _WRITTEN = _FACES, _POINTS, _WEIGHTS
 _REAL, _WHOLE, _FLAG = np.float64, np.int64, np.bool_
-_ROUND = Kernel(
-    "tp_visit_round",
+GIVEN = (
     *(EquationsHandle, *STATE),
     *(Out(p.dtype, p.shape) if i in _WRITTEN and isinstance(p, In) else p
       for i, p in enumerate(PROBLEM)),
@@ -36,6 +35,8 @@ _ROUND = Kernel(
     *(Out(_WHOLE, ("views",)), Out(_FLAG, ("views",)), Out(_FLAG, ("views",))),
     *(Out(_FLAG, ("corners",)), In(_REAL, (6,)), In(_REAL, (4,)), int),
 )  # fmt: skip
+"""What the core is given of a trial: `Given` and `Rest` of `visit.cpp`."""
+_ROUND = Kernel("tp_visit_round", *GIVEN)
 
 
 class Work(IntFlag):
@@ -195,33 +196,17 @@ class Trial:
             assert isinstance(deviations, np.ndarray)
             deviations[:] = pictures.jitter.among(self.poses.translation)
         self._score[:] = 0.0
-        ending = _ROUND(
+        ending = _ROUND(*self.given(work, huber))
+        self.poses = Pose.from_rows(self._state[3][tables.node_of])
+        return Ending(ending)
+
+    def given(self, work: Work, huber: float = np.inf) -> tuple[object, ...]:
+        """What the core is given: `GIVEN`."""
+        pictures, tables = self.pictures, self.tables
+        return (
             *(self._handle, *self._state, *tables.problem),
             *(EXACT, float(huber), _TOLERANCE, _MOST_STEPS, self._score),
             *(*body_tables(pictures.target), *tables.views, pictures.picture_of, tables.rows),
             *(self.chosen, self.wrong, self.hidden, self.wild),
             *(pictures.room, pictures.limits, int(work)),
-        )
-        self.poses = Pose.from_rows(self._state[3][tables.node_of])
-        return Ending(ending)
-
-    def assembled(self) -> Assembled:
-        """The problem of the pictures as they are read, without what is wrong or wild."""
-        self.round(Work(0))
-        problem, tables = self.tables.assembled.problem, self.tables.problem
-        (batch,) = problem.batches
-        points, faces, weights = (tables[each] for each in (_POINTS, _FACES, _WEIGHTS))
-        assert isinstance(points, np.ndarray)
-        assert isinstance(faces, np.ndarray)
-        assert isinstance(weights, np.ndarray)
-        shape, jitter = batch.weights.shape, self.pictures.jitter
-        batch = replace(
-            batch,
-            face_points=points.reshape(*shape, 3).copy(),
-            faces=faces.reshape(shape).copy(),
-            weights=weights.reshape(shape).copy(),
-            jitter=None if jitter is None else jitter.among(self.poses.translation),
-        )
-        return Assembled(
-            replace(problem, batches=(batch,)), self.state, self.tables.assembled.node_of
         )

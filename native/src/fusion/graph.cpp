@@ -2,6 +2,7 @@
 #include <Eigen/LU>
 #include <Eigen/SparseCholesky>
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <limits>
 #include <stdexcept>
@@ -65,19 +66,25 @@ public:
         if (is_planned_) std::fill_n(matrix.valuePtr(), matrix.nonZeros(), 0.0);
         next_ = 0;
     }
+    // Products are taken entry by entry: what lies ready for large matrices costs more than these.
     void add(const Term& term) {
-        const Small weighted = term.jacobian.transpose() * term.information;
-        const Small square = weighted * term.jacobian;
-        const Eigen::Matrix<double, Eigen::Dynamic, 1, Eigen::ColMajor, MOST_COLUMNS> pull =
-            weighted * term.residual;
-        cost += term.residual.dot(term.information * term.residual);
+        std::array<Index, MOST_COLUMNS> rows;
+        Small jacobian(term.jacobian.rows(), term.jacobian.cols());
+        Index free = 0;  // a robot in the plane leaves half of the directions held
         for (std::size_t i = 0; i < term.rows.size(); ++i) {
             if (term.rows[i] < 0) continue;
-            gradient[term.rows[i]] += pull[static_cast<Index>(i)];
-            for (std::size_t j = 0; j < term.rows.size(); ++j)
-                if (term.rows[j] >= 0 && term.rows[j] <= term.rows[i])
-                    put(term.rows[i], term.rows[j],
-                        square(static_cast<Index>(i), static_cast<Index>(j)));
+            jacobian.col(free) = term.jacobian.col(static_cast<Index>(i));
+            rows[static_cast<std::size_t>(free++)] = term.rows[i];
+        }
+        const Small weighted = jacobian.leftCols(free).transpose().lazyProduct(term.information);
+        cost += term.residual.dot(term.information.lazyProduct(term.residual));
+        for (Index i = 0; i < free; ++i) {
+            const Index row = rows[static_cast<std::size_t>(i)];
+            gradient[row] += weighted.row(i).dot(term.residual);
+            for (Index j = 0; j < free; ++j) {
+                const Index column = rows[static_cast<std::size_t>(j)];
+                if (column <= row) put(row, column, weighted.row(i).dot(jacobian.col(j)));
+            }
         }
     }
     void end() {
@@ -236,6 +243,7 @@ private:
     // The term of the motion from one pose to another, `expected` at their values.
     Term between(Index first, Index second, const Pose& expected, Index more) const {
         Term term;
+        term.rows.reserve(MOST_COLUMNS);
         free(term.rows, first);
         free(term.rows, second);
         const Pose a = pose(first), b = pose(second);

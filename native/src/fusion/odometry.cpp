@@ -118,6 +118,10 @@ public:
         return Eigen::Map<const Vector6d>(given_[3].array.as<double>() + 6 * row);
     }
     bool is_unknown(Index row) const { return given_[4].array.as<bool>()[row]; }
+    // Whether a step adds neither motion nor noise.
+    bool is_at_rest(Index row) const {
+        return !is_unknown(row) && gap_m(row) == 0 && twist_at(row).isZero(0);
+    }
     double gap_m(Index row) const { return given_[5].array.as<double>()[row]; }
 
 private:
@@ -194,7 +198,7 @@ struct Motion {
            const double* scales) {
         std::vector<Part> parts;
         track.steps(from_ns, to_ns, [&](Index row, double share) {
-            parts.push_back(next(track, row, share, noise, scales));
+            if (!track.is_at_rest(row)) parts.push_back(next(track, row, share, noise, scales));
         });
         for (const Part& part : parts) add(part);
         by_scale.col(0).head<3>() = whole.translation / (1 + scales[0]);

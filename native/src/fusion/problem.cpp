@@ -267,6 +267,19 @@ std::vector<Pose> Problem::faces(const State& state, Index robot) const {
     return found;
 }
 
+OdometryTerm Problem::motion(const State& state, Index row) const {
+    const auto robot = std::find_if(robots_.begin(), robots_.end(), [&](const Robot& each) {
+        return row < each.first_motion + each.motions;
+    });
+    const Index node = robot->first_node + row - robot->first_motion;
+    return {pose_of(state, NODES, node),
+            pose_of(state, NODES, node + 1),
+            pose_at(numbers(MOTIONS) + 12 * row),
+            Eigen::Map<const BySteps>(numbers(MOTION_BY_SCALE) + 12 * row),
+            robot->tangent,
+            AtMost6::Identity(robot->tangent.count, robot->tangent.count)};
+}
+
 const double* Problem::deviation(Index picture) const {
     return whole(PICTURES, picture)[DEVIATES] != 0 ? numbers(DEVIATIONS) + 6 * picture : nullptr;
 }

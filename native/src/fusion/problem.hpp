@@ -81,6 +81,8 @@ public:
     // Where the unknowns of a picture's terms are among all, the inner nodes first; of a problem of
     // one robot.
     std::vector<Index> rows_of(Index picture) const;
+    // The term of a motion between nodes at a state, its errors as they are, not in sigmas.
+    OdometryTerm motion(const State& state, Index motion) const;
     // Variances (6,) of the robot's deviation in a picture; null where it has none.
     const double* deviation(Index picture) const;
 

@@ -1,5 +1,6 @@
 // One round on the way to a mode of a visit: its pictures are read, its problem is solved, and what
 // of them is wrong is judged; see `local.LocalProblem`.
+#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
 #include <stdexcept>
@@ -26,8 +27,25 @@ enum Rest {
     ROOM,                                          // (6,): variances of a pose in the room
     LIMITS,  // (4,): the score of a wild corner, of a wrong sighting, the most that ln|S| counts,
              // the most χ² of a right one's pose
-    WORK     // what is to be done, of `Work`
+    WORK,    // what is to be done, of `Work`
+    END_OF_VISIT
 };
+// What `tp_visit_linear` is given after them: see `linear.Linear`.
+enum Linear {
+    BY_PICTURES = END_OF_VISIT,  // whether the parts are pictures, otherwise views
+    PARTS,                       // (n,): which of them each is
+    PART_NODES,                  // (n,)
+    SHIFTS,                      // (n, 6)
+    OWN,                         // (n, 6, 6)
+    BY_ROBOT,                    // (n, 6, d)
+    BY_OTHERS,                   // (n, 6, q)
+    STEPS,                       // (m, d)
+    BY_EARLIER,                  // (m, d, d)
+    BY_LATER,                    // (m, d, d)
+    STEPS_BY_OTHERS              // (m, d, q)
+};
+// A pose is not determined if the least eigenvalue of its scaled information is below this.
+constexpr double FLAT = 1e-12, LEAST_SCALE = 1e-9;
 enum Work { READ = 1, SOLVE = 2, JUDGE = 4, ROBUST = 8 };
 // How a round ends.
 enum Ending { NOTHING_FITS, IS_JUDGED_SAME, IS_JUDGED_OTHERWISE };
@@ -141,6 +159,32 @@ public:
         return is_other;
     }
 
+    // The shift of the robot's pose that each part by itself asks for, and the odometry between
+    // nodes, linearised about the state: how many parts determine a pose. Pictures are without what
+    // is wrong or wild; views that are not wrong, without what is wild of each by itself.
+    Index linearise(const Problem& problem) {
+        const bool by_pictures = given_[BY_PICTURES].whole != 0;
+        if (!by_pictures) put_weights();
+        const State state = problem.state();
+        const std::vector<Pose> faces = problem.faces(state, 0);
+        Index kept = 0, first = 0;
+        for (Index p = 0; p < array(PICTURES).shape[0]; ++p) {
+            const Picture picture = problem.picture(state, p, faces);
+            const Pictured seen = pictured(picture);
+            if (by_pictures) {
+                kept += part(seen, p, p, kept);
+            } else {
+                for (Index v = 0; v < views_.count(); ++v)
+                    if (whole(SIGHTING_PICTURES)[v] == p && !flags(IS_WRONG)[v])
+                        kept += part(tame(seen, begin(v, first, picture), views_.corners(v)), v, p,
+                                     kept);
+            }
+            first += picture.corners;
+        }
+        for (Index m = 0; m < array(STEPS).shape[0]; ++m) step(problem.motion(state, m), m);
+        return kept;
+    }
+
 private:
     const Argument* given_;
     Body body_;
@@ -179,17 +223,10 @@ private:
             std::vector<Part> parts;
             for (Index v = 0; v < views_.count(); ++v) {
                 if (whole(SIGHTING_PICTURES)[v] != p) continue;
-                const Index begin = whole(ROWS)[v] - first;
-                if (begin < 0 || begin > picture.corners - views_.corners(v))
-                    throw std::invalid_argument("a sighting beside its picture");
                 mine.push_back(v);
-                parts.push_back({begin, views_.corners(v), flags(IS_WRONG)[v]});
+                parts.push_back({begin(v, first, picture), views_.corners(v), flags(IS_WRONG)[v]});
             }
-            Pictured seen;
-            seen.by_base.resize(2 * picture.corners, 6);
-            seen.jacobian.resize(2 * picture.corners, picture.columns());
-            seen.residual.resize(2 * picture.corners);
-            picture.terms(picture.seen, seen.residual, seen.jacobian, seen.by_base);
+            const Pictured seen = pictured(picture);
             const std::vector<Index> rows = problem.rows_of(p);
             std::vector<std::uint8_t> is_wild(at(picture.corners));
             const auto all =
@@ -206,6 +243,93 @@ private:
             first += picture.corners;
         }
         return found;
+    }
+
+    static Pictured pictured(const Picture& picture) {
+        const Index rows = 2 * picture.corners;
+        Pictured seen{ByPoses(rows, 6), RowMajor(rows, picture.columns()), Eigen::VectorXd(rows)};
+        picture.terms(picture.seen, seen.residual, seen.jacobian, seen.by_base);
+        return seen;
+    }
+
+    // Where a view's corners begin in their picture, which begins at `first` of all.
+    Index begin(Index view, Index first, const Picture& picture) const {
+        const Index found = whole(ROWS)[view] - first;
+        if (found < 0 || found > picture.corners - views_.corners(view))
+            throw std::invalid_argument("a sighting beside its picture");
+        return found;
+    }
+
+    // One view's corners without those that are wild by itself.
+    Pictured tame(const Pictured& picture, Index first, Index count) const {
+        Pictured seen{picture.by_base.middleRows(2 * first, 2 * count),
+                      picture.jacobian.middleRows(2 * first, 2 * count),
+                      picture.residual.segment(2 * first, 2 * count)};
+        Eigen::VectorXd weight;
+        tame_step({{seen.by_base.data(), 2 * count, 6}, {seen.residual.data(), 2 * count}},
+                  numbers(LIMITS)[0], weight);
+        for (Index k = 0; k < count; ++k)
+            if (weight(k) == 0) {
+                seen.by_base.middleRows<2>(2 * k).setZero();
+                seen.jacobian.middleRows<2>(2 * k).setZero();
+                seen.residual.segment<2>(2 * k).setZero();
+            }
+        return seen;
+    }
+
+    // Columns of the camera's own unknowns, and of the robot's scales, in a linear visit.
+    Index own_columns() const {
+        const std::int64_t* camera = whole(CAMERAS);
+        return 6 + (camera[2] >= 0 ? camera[0] : 0) + (camera[3] >= 0 ? 2 : 0);
+    }
+    Index scale_columns() const { return whole(ROBOTS)[5] >= 0 ? 2 : 0; }
+
+    // One of many matrices of an argument.
+    Eigen::Map<RowMajor> matrix(int which, Index index) const {
+        const auto& shape = array(which).shape;
+        const Index columns = std::max<Index>(shape[2], 1);
+        return {numbers(which) + shape[1] * columns * index, shape[1], columns};
+    }
+
+    // Writes a part as the next that is kept: 1, or 0 where it determines no pose.
+    Index part(const Pictured& seen, Index number, Index picture, Index row) const {
+        const Matrix6d information = seen.by_base.transpose() * seen.by_base;
+        if (!information.allFinite()) return 0;
+        const Vector6d scale = information.diagonal().cwiseMax(LEAST_SCALE).array().rsqrt();
+        const Eigen::SelfAdjointEigenSolver<Matrix6d> parts(scale.asDiagonal() * information *
+                                                            scale.asDiagonal());
+        if (!(parts.eigenvalues()(0) >= FLAT)) return 0;
+        const Matrix6d root = scale.asDiagonal() * parts.eigenvectors() *
+                              parts.eigenvalues().array().rsqrt().matrix().asDiagonal();
+        const Matrix6d covariance = root * root.transpose();
+        const Eigen::Matrix<double, 6, Eigen::Dynamic> by =
+            covariance * (seen.by_base.transpose() * seen.jacobian);
+        const Index d = array(BY_ROBOT).shape[2], q = array(BY_OTHERS).shape[2],
+                    own = own_columns(), faces = by.cols() - d - own;
+        if (row >= array(PARTS).shape[0] || faces < 0 || q != own + scale_columns() + faces)
+            throw std::invalid_argument("parts of other unknowns");
+        whole(PARTS)[row] = number;
+        whole(PART_NODES)[row] = whole(PICTURES)[5 * picture + 2];
+        matrix(SHIFTS, row) = -(covariance * (seen.by_base.transpose() * seen.residual));
+        matrix(OWN, row) = covariance;
+        matrix(BY_ROBOT, row) = by.leftCols(d);
+        auto by_others = matrix(BY_OTHERS, row);
+        by_others.setZero();
+        by_others.leftCols(own) = by.middleCols(d, own);
+        by_others.rightCols(faces) = by.rightCols(faces);
+        return 1;
+    }
+
+    void step(const OdometryTerm& term, Index row) const {
+        const Index d = term.residual.size(), own = own_columns(), scales = scale_columns();
+        if (array(STEPS).shape[1] != d || own + scales > array(STEPS_BY_OTHERS).shape[2])
+            throw std::invalid_argument("steps of other unknowns");
+        matrix(STEPS, row) = -term.residual;
+        matrix(BY_EARLIER, row) = term.by.leftCols(d);
+        matrix(BY_LATER, row) = term.by.middleCols(d, d);
+        auto by_others = matrix(STEPS_BY_OTHERS, row);
+        by_others.setZero();
+        by_others.middleCols(own, scales) = term.by.middleCols(2 * d, scales);
     }
 
     bool mark_wild() {
@@ -243,4 +367,14 @@ TRIGPOINT_KERNEL(tp_visit_round) {
     } catch (const Undetermined&) {
         return NOTHING_FITS;
     }
+}
+
+// (what `tp_visit_round` is given, and then what `Linear` says): how many parts of the visit
+// determine a pose.
+TRIGPOINT_KERNEL(tp_visit_linear) {
+    if (arguments[STEPS].array.shape[0] != arguments[MOTIONS].array.shape[0])
+        throw std::invalid_argument("other steps than motions");
+    Visit visit(arguments);
+    visit.put_corners();
+    return visit.linearise(Problem(arguments));
 }
