@@ -4,12 +4,14 @@ A file of records: length and CRC-32 (little-endian uint32 each), then a msgpack
 payload, which is compressed by itself (zlib), so that damage costs one record. Reading it again
 through the pipeline gives the same map under the same UUID. Damaged or truncated records are
 skipped up to the next sound one. The file is only ever appended to: another kind of file is kept
-under another name, and so is a map that is given up.
+under another name, and so is a map that is given up. `map_storage` goes on in another file once
+this one is long, and removes those of a past that is summarised.
 """
 
 import logging
 import mmap
 import os
+import re
 import struct
 import zlib
 from collections.abc import Callable, Iterator
@@ -24,6 +26,9 @@ from trigpoint.base.errors import OperationError
 
 CHECKPOINT = "checkpoint.bin"
 """Its name in the folder of a map."""
+PAST = "past.bin"
+"""The name of the summary of what came before it (`past_file`)."""
+_FULL = re.compile(r"checkpoint-([0-9]{6})\.bin")
 _MAGIC = b"trigpoint-checkpoint/1\n"
 _HEAD = struct.Struct("<II")
 _FLUSH_NS = to_ns(0.5)
@@ -93,10 +98,14 @@ class Checkpoint:
 
     def restart(self) -> None:
         """Begin a new file; the old one is kept under another name."""
-        self._try(self._synchronise)
-        with suppress(OSError):  # told already
-            self._file.close()
+        self.close()
         self._try(self._begin_anew)
+
+    def continue_in_another(self, full: Path) -> None:
+        """Go on in a new file; the one so far gets the name `full`."""
+        self.close()
+        self._try(lambda: self._path.rename(full))
+        self._try(self._open)
 
     def _begin_anew(self) -> None:
         if self._path.exists():
@@ -137,9 +146,22 @@ class Checkpoint:
             )
 
 
-def has_messages(path: Path) -> bool:
-    """Whether a file is a checkpoint with anything in it."""
-    return next(read_checkpoint(path), None) is not None
+def has_map(folder: Path) -> bool:
+    """Whether a folder has a map to go on from."""
+    files = [*full_files(folder), folder / CHECKPOINT]
+    is_any = any(next(read_checkpoint(path), None) is not None for path in files)
+    return is_any or (folder / PAST).exists()
+
+
+def full_files(folder: Path) -> list[Path]:
+    """The files of a folder's checkpoint before the one that is written, in order."""
+    return sorted(path for path in folder.glob("*.bin") if _FULL.fullmatch(path.name))
+
+
+def next_full_file(folder: Path) -> Path:
+    """The name of the next of these."""
+    numbers = [int(path.stem.rpartition("-")[2]) for path in full_files(folder)]
+    return folder / f"checkpoint-{max(numbers, default=0) + 1:06}.bin"
 
 
 def read_checkpoint(path: Path, until: int | None = None) -> Iterator[tuple[str, bytes]]:

@@ -15,7 +15,7 @@ from trigpoint.contract import cdr
 from trigpoint.contract.access import Kind
 from trigpoint.metrics.serving import metrics_served
 from trigpoint.node.node import Node, stopped_by_signals
-from trigpoint.site.config import load_site
+from trigpoint.site.config import Site, load_site
 from trigpoint.site.option import SITE_FILE, MetricsAt, SiteFile
 from trigpoint.zenoh import open_bus
 
@@ -58,7 +58,7 @@ def main(
     with open_bus(loaded, (Kind.FUSION, NAME)) as bus, ExitStack() as stack:
         node = Node(bus, site=loaded.name, kind=KIND, name=NAME, clock=clock)
         with metrics_served(loaded, metrics, [node]), stopped_by_signals(node):
-            solver = solver_for(inputs, node)
+            solver = solver_for(loaded, node)
             fusion = FusionNode(bus, node, inputs, folder, clock, solver=solver, fixed=fixed)
             stack.push(_finishing(fusion))
             fusion.start()
@@ -79,9 +79,9 @@ def _finishing(fusion: FusionNode) -> Callable[[object, BaseException | None, ob
     return finish
 
 
-def solver_for(inputs: Inputs, node: Node) -> Callable[[], Solver] | None:
+def solver_for(site: Site, node: Node) -> Callable[[Inputs], Solver] | None:
     """The factory of the solver beside the corrections; None for estimators that need none."""
-    if inputs.site.fusion.estimator != "smoother":
+    if site.fusion.estimator != "smoother":
         return None
 
     last_s = math.nan
@@ -91,7 +91,7 @@ def solver_for(inputs: Inputs, node: Node) -> Callable[[], Solver] | None:
         last_s = seconds
         node.health.observe("solving", seconds)
 
-    def solver() -> Solver:
+    def solver(inputs: Inputs) -> Solver:
         pulse = node.watchdog.pulse(f"{node.label} solves", within_s=START_S)
         return SolverProcess(inputs.data_set(), pulse, node.watchdog.forget, took)
 

@@ -9,7 +9,7 @@ from trigpoint.site.camera_info import read_camera_info
 from trigpoint.site.config import Site
 from trigpoint.site.target import Target, load_target
 
-from .checkpoint import CHECKPOINT, has_messages
+from .checkpoint import CHECKPOINT, has_map
 from .estimators.registry import check_estimator
 from .fixed.network import FixedNetwork
 from .model.inputs import Inputs
@@ -79,7 +79,7 @@ def load_fixed(inputs: Inputs, *, network: Path | None, folder: Path) -> FixedNe
     if network is not None:
         document = load_network(network)
         return FixedNetwork(document, load_covariance(network, document), inputs.known)
-    if not has_messages(folder / CHECKPOINT):
+    if not has_map(folder):
         raise InputError(
             "[fusion] learn = false, but there is no network to hold fixed: give "
             f"--network network.json, or the --out of a map that was learnt ({folder} has no "

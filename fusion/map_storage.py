@@ -1,7 +1,13 @@
-"""The messages that a map is made of, on their way to its checkpoint and back."""
+"""The messages that a map is made of, on their way to its checkpoint and back.
+
+The checkpoint is a row of files: `checkpoint.bin`, which is written, and before it
+`checkpoint-000001.bin` and so on, each as long as is handy. Once all messages of a file are part of
+a past that the map summarises (`past.bin`), the file is removed.
+"""
 
 import logging
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 
 from trigpoint.base.clock import Clock
@@ -10,24 +16,50 @@ from trigpoint.contract import cdr, topics
 from trigpoint.contract.messages import CameraInfo, Diagnostics, Message, Odometry, Sightings
 from trigpoint.site.config import Site
 
-from .checkpoint import Checkpoint
+from .checkpoint import (
+    CHECKPOINT,
+    PAST,
+    Checkpoint,
+    full_files,
+    next_full_file,
+    read_checkpoint,
+    set_aside,
+)
 from .intake.admission import AHEAD_NS
+from .model.past import ODOMETRY_BEFORE_NS, Past
+from .past_file import save_past
 from .standing_odometry import StandingOdometry
 
 _log = logging.getLogger(__name__)
 
 
 class MapStorage:
-    """The checkpoint of one map. Not thread-safe.
+    """The checkpoint of one map, in a folder. Not thread-safe.
 
-    `knows`: whether the site file still has the camera or robot of a key.
+    `knows`: whether the site file still has the camera or robot of a key; `past`: of the map, whose
+    messages are not needed; `most`: messages in one file.
     """
 
     def __init__(
-        self, path: Path, site: Site, clock: Clock, *, knows: Callable[[str], bool]
+        self,
+        folder: Path,
+        site: Site,
+        clock: Clock,
+        *,
+        knows: Callable[[str], bool],
+        past: Past | None = None,
+        most: int = 20_000,
     ) -> None:
-        self._path, self._site, self._knows = path, site, knows
-        self._checkpoint = Checkpoint(path, clock)
+        self._folder, self._site, self._knows, self._past = folder, site, knows, past
+        self._path, self._most, self._count = folder / CHECKPOINT, most, 0
+        self._checkpoint = Checkpoint(self._path, clock)
+        self._full = full_files(folder)
+        # By file, the newest stamp of odometry or sightings in it, once it is known.
+        self._newest_ns: dict[Path, int] = {}
+        self._reading = self._path
+        self._written_ns = max(
+            self._checkpoint.written_ns, *(path.stat().st_mtime_ns for path in self._full), 0
+        )
         self._begin()
 
     def _begin(self) -> None:
@@ -42,11 +74,15 @@ class MapStorage:
 
     def records(self) -> Iterator[tuple[str, bytes]]:
         """(key, payload) of what was stored before this process began."""
-        return self._checkpoint.records()
+        for path in self._full:
+            self._reading = path
+            yield from read_checkpoint(path)
+        self._reading = self._path
+        yield from self._checkpoint.records()
 
     def message(self, key: str, payload: bytes) -> Message | None:
-        """The message of a record; None where it is not to be used. Raises OperationError where the
-        checkpoint is another site's."""
+        """The message of a record, of which all are asked for in order; None where it is not to be
+        used. Raises OperationError where the checkpoint is another site's."""
         topic = topics.topic_of(key)
         if topic is None or not key.startswith(f"{self._site.name}/"):
             raise OperationError(
@@ -61,12 +97,26 @@ class MapStorage:
             return None
         assert isinstance(message, CameraInfo | Diagnostics | Odometry | Sightings)
         # All of the file came before it was written last.
-        if message.stamp_ns > self._checkpoint.written_ns + AHEAD_NS:
+        if message.stamp_ns > self._written_ns + AHEAD_NS:
             _log.error(
                 "%s: a message on %s is stamped ahead of its time; left out", self._path, key
             )
             return None
-        return message
+        self._note(self._reading, message)
+        return message if self._is_needed(key, message) else None
+
+    def _is_needed(self, key: str, message: Message) -> bool:
+        """Whether a message is more than a part of the map's past."""
+        if self._past is None:
+            return True
+        if isinstance(message, Odometry):
+            return self._past.needs_odometry(topics.node_of(key), message.stamp_ns)
+        return not isinstance(message, Sightings) or message.stamp_ns >= self._past.begin_ns
+
+    def _note(self, path: Path, message: Message) -> None:
+        """Note what is in a file."""
+        if isinstance(message, Odometry | Sightings):
+            self._newest_ns[path] = max(self._newest_ns.get(path, 0), message.stamp_ns)
 
     def store(self, key: str, payload: bytes, message: Message) -> int:
         """Store a message, but of a standing robot's odometry only what is needed; returns how many
@@ -77,15 +127,55 @@ class MapStorage:
         if isinstance(message, Sightings):
             for odometry in self._odometry.values():
                 odometry.want(message.stamp_ns)
-        return sum(not self._checkpoint.write(key, item) for item in payloads)
+        self._note(self._path, message)
+        self._count += len(payloads)
+        lost = sum(not self._checkpoint.write(key, item) for item in payloads)
+        if self._count >= self._most:
+            self._go_on_in_another_file()
+        return lost
+
+    def _go_on_in_another_file(self) -> None:
+        full = next_full_file(self._folder)
+        self._checkpoint.continue_in_another(full)
+        self._full.append(full)
+        self._newest_ns[full] = self._newest_ns.pop(self._path, 0)
+        self._count = 0
+
+    def settle(self, past: Past | None) -> None:
+        """Store a past in place of its messages, where that is not done: files that have no others
+        are removed."""
+        if past is None or past is self._past:
+            return
+        self._past = past
+        try:
+            save_past(self._folder / PAST, past, self._site)
+            for path in [path for path in self._full if self._is_over(path, past)]:
+                path.unlink()
+                self._full.remove(path)
+        except OSError as reason:
+            _log.warning(
+                "%s: not written (%s); the checkpoint stays longer than it must",
+                PAST,
+                reason.strerror,
+            )
+
+    def _is_over(self, path: Path, past: Past) -> bool:
+        newest_ns = self._newest_ns.get(path)
+        return newest_ns is not None and newest_ns < past.end_ns - ODOMETRY_BEFORE_NS
 
     def flush(self) -> None:
         """Hand what was stored to the disk, at most twice a second."""
         self._checkpoint.flush()
 
     def restart(self) -> None:
-        """Begin a new map; the old one's file is kept under another name."""
+        """Begin a new map; the old one's files are kept under other names."""
         self._checkpoint.restart()
+        for path in [*self._full, self._folder / PAST]:
+            with suppress(FileNotFoundError):
+                set_aside(path)
+        self._full.clear()
+        self._newest_ns.clear()
+        self._past, self._count = None, 0
         self._begin()
 
     def close(self) -> None:

@@ -4,6 +4,7 @@ import json
 import logging
 import threading
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 from trigpoint.base.clock import Clock, to_ns, to_seconds
@@ -19,7 +20,7 @@ from trigpoint.node.watchdog import Pulse
 from trigpoint.security.authenticator import correction_signer
 
 from .answers import ANSWER_S, map_answer, solved
-from .checkpoint import CHECKPOINT
+from .checkpoint import CHECKPOINT, PAST
 from .coverage.announced import AnnouncedMap
 from .diagnostics import Diagnostics
 from .estimators.results import Results
@@ -35,6 +36,7 @@ from .live.solver_messages import Solver
 from .map_storage import MapStorage
 from .model.inputs import Inputs
 from .output import Output
+from .past_file import load_past
 from .pipeline import Pipeline
 from .publishing import Publishing
 from .solver.snapshot import GuidanceWorld
@@ -69,7 +71,7 @@ class FusionNode:
         out: Path,
         clock: Clock,
         *,
-        solver: Callable[[], Solver] | None = None,
+        solver: Callable[[Inputs], Solver] | None = None,
         fixed: FixedNetwork | None = None,
     ) -> None:
         """`solver`: makes the solver of one map, so that no turn takes long; `fixed`: the network
@@ -187,6 +189,7 @@ class FusionNode:
         took_s = to_seconds(self._clock.elapsed_ns() - began_ns)
         self._longest_s = max(self._longest_s, took_s)
         if self._storage is not None:
+            self._storage.settle(self._pipeline.past)
             self._storage.flush()
         self._located_count = self._pipeline.located_count
         return outputs
@@ -232,14 +235,19 @@ class FusionNode:
     # -- learning, or not -------------------------------------------------------------------------
 
     def _new_pipeline(self, *, is_live: bool = True) -> Pipeline:
-        """The pipeline of a map that begins now; a solver of it runs beside it."""
+        """The pipeline of a map that begins now, or goes on from its past; a solver of it runs
+        beside it."""
         if self._solver is not None:
             self._solver.close()
         fixed, self._solver = self._holding.fixed, None
-        if fixed is None and self._make_solver is not None:
-            self._solver = self._make_solver()
+        inputs = self._inputs
+        if fixed is None:
+            past = load_past(self._out / PAST, self._site, inputs.targets)
+            inputs = replace(inputs, past=past)
+            if self._make_solver is not None:
+                self._solver = self._make_solver(inputs)
         return Pipeline(
-            self._inputs, is_live=is_live or fixed is not None, solver=self._solver, fixed=fixed
+            inputs, is_live=is_live or fixed is not None, solver=self._solver, fixed=fixed
         )
 
     def _switch(self, pulse: Pulse) -> bool:
@@ -311,7 +319,11 @@ class FusionNode:
         meanwhile are set aside and used afterwards. False where a stop came first."""
         with self._lock:
             self._storage = MapStorage(
-                self._path, self._site, self._clock, knows=self._admission.knows
+                self._out,
+                self._site,
+                self._clock,
+                knows=self._admission.knows,
+                past=self._pipeline.past,
             )
         pipeline, count = self._pipeline, 0
         aside: list[tuple[Sample, Message]] = []
@@ -351,8 +363,9 @@ class FusionNode:
     def _go_on(self, count: int) -> None:
         """Go on live after so many messages of a checkpoint."""
         self._pipeline.advance()
-        self._pipeline.resumed(is_new=not count)
-        if count:
+        is_new = not count and self._pipeline.past is None
+        self._pipeline.resumed(is_new=is_new)
+        if not is_new:
             _log.info(
                 "map %s resumed from %s (%d messages); the command %s starts a new one",
                 self._pipeline.map_id,

@@ -30,6 +30,7 @@ from .model.dataset import Conclusions, Event
 from .model.inputs import Inputs
 from .model.observations import Observation
 from .model.odometry import Added
+from .model.past import Past
 from .output import Output, output_of
 from .robot_announcements import RobotAnnouncements
 from .solver.filter import RobotEstimate
@@ -80,6 +81,7 @@ class Pipeline:
         self._early: list[tuple[str, Sightings]] = []
         self._stale_ns: dict[str, int] = {}
         self._doubted: frozenset[str] = frozenset()
+        self._shared, self._past = shared, data.past
         self.nudges = Nudges(data, is_fixed=fixed is not None)
 
     @property
@@ -92,6 +94,11 @@ class Pipeline:
     def conclusions(self) -> Conclusions:
         """What was concluded so far."""
         return self._data.conclusions()
+
+    @property
+    def past(self) -> Past | None:
+        """What this map keeps of a past whose messages it needs no more; None: all are needed."""
+        return self._data.past
 
     @property
     def last_problem(self) -> str:
@@ -269,6 +276,9 @@ class Pipeline:
         if self._follower is not None:
             self._attend(self._follower)
             self._settle(self._follower, now_ns, is_quiet=all(o.is_repeat for o in used))
+        if self._data.past is not self._past:
+            self._past = self._data.past
+            self._shared.forget()
         # Live, cameras are announced also while none of them sees a robot: no transform grows old.
         used_ns = 0 if self._is_live else self._used_ns
         stamp_ns = used_ns or self._data.last_ns
@@ -305,6 +315,8 @@ class Pipeline:
             self._take_cameras(self._data.last_ns, is_urgent=True)
 
     def _use(self, observation: Observation, now_ns: int | None) -> None:
+        if self._past is not None and self._past.is_over(observation.robot, observation.stamp_ns):
+            return  # its part in the map is known
         if self._data.tracks[observation.robot].is_in_gap(observation.stamp_ns):
             self._left_out.add("in_odometry_gap")
             return

@@ -275,11 +275,13 @@ def settings_of(site: Site) -> SinkSettings:
         synchronise_s=wanted.synchronise,
         split_bytes=wanted.split_bytes,
         split_s=wanted.split_time,
+        daily=wanted.daily,
         room=Room(
             site.path(wanted.directory),
             wanted.minimum_free,
             wanted.when_full == "free",
             prefix=site.name,
+            budget=wanted.budget,
         ),
     )
 

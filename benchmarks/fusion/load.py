@@ -130,8 +130,8 @@ class _Drive:
         self._load, self._solver, self._tells = load, solver, tells
         inputs = load.corridor.inputs
         self._site = inputs.site.name
-        self._path = folder / "checkpoint.bin"
-        self._storage = MapStorage(self._path, inputs.site, SystemClock(), knows=lambda _: True)
+        self._folder = folder
+        self._storage = MapStorage(folder, inputs.site, SystemClock(), knows=lambda _: True)
         self._pipeline = Pipeline(inputs, is_live=False, solver=solver)
         self._pipeline.resumed(is_new=True)
         self._asked_s, self._answer_s = 0.0, float("nan")
@@ -263,7 +263,7 @@ class _Drive:
         return resident_mb("self"), resident_mb(self._solver.pid)
 
     def _stored_mb(self) -> float:
-        return self._path.stat().st_size / 1e6
+        return sum(path.stat().st_size for path in self._folder.glob("*.bin")) / 1e6
 
 
 def turns(corridor: Corridor) -> Iterator[tuple[int, Turn]]:

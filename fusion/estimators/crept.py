@@ -41,7 +41,7 @@ def _age_ns(data: DataSet, camera: str, end_ns: int) -> float:
     """The mean age of what a camera's pose rests on. What was known of it beforehand is as old as
     the session, and may weigh as much as all sightings."""
     if camera in data.known.poses:
-        return end_ns - data.epoch_ns
+        return end_ns - data.begin_ns
     used = [
         end_ns - entry.observation.stamp_ns
         for entry in data.of_camera(camera)

@@ -15,6 +15,7 @@ from trigpoint.fusion.association.modes import Memory
 from trigpoint.fusion.association.scales import with_solved_scales
 from trigpoint.fusion.model.dataset import DataSet, Entry
 from trigpoint.fusion.model.observations import Observation, Verdict
+from trigpoint.fusion.model.past import Past
 from trigpoint.geometry.rotation import Array
 
 _GROWTH, _LEAST_NEW = 1.2, 20
@@ -25,6 +26,12 @@ _OPEN_GROWTH, _OPEN_SHARE, _LEAST_OPEN = 0.5, 1 / 3, 3
 _BEHIND_A_JUMP = (
     "position and orientation in the map: the robot's odometry jumped on its way here from the "
     "other cameras; drive there without a break"
+)
+
+_FEW = "too few pictures of the robot so far"
+_FORGOTTEN = (
+    "position and orientation: its sightings did not decide where it is, and are too old to be "
+    "kept; drive past it"
 )
 
 _Pair = tuple[str, str]
@@ -58,6 +65,13 @@ class Explainer:
         """See `Live.leave_open`."""
         if cameras != self._undecided and self._observations:
             self._undecided, self._explained = cameras, -1
+
+    def forget(self, past: Past) -> None:
+        """Drop the observations that are part of the past; what is left is to be explained."""
+        self._observations = [
+            each for each in self._observations if not past.is_over(each.robot, each.stamp_ns)
+        ]
+        self._memory, self._explained = Memory(), -1
 
     def camera_moved(self) -> None:
         """Note that the data tell of another move of a camera."""
@@ -115,14 +129,19 @@ class Explainer:
         return {
             name: (self._reason(name) or _BEHIND_A_JUMP,)
             for name in self._data.site.cameras
-            if name not in placed
-            and any(self._data.of_camera(place) for place in self._data.places_of(name))
+            if name not in placed and self._was_seen(name)
         }
+
+    def _was_seen(self, camera: str) -> bool:
+        is_recent = any(self._data.of_camera(place) for place in self._data.places_of(camera))
+        return is_recent or self._data.past_of(camera).sightings > 0
 
     def _reason(self, camera: str) -> str:
         """Why a camera that was seen is not located; "" where the explanation does not say."""
         finding = self._finding(camera)
-        return finding.reason if finding is not None else "too few pictures of the robot so far"
+        if finding is not None:
+            return finding.reason
+        return _FORGOTTEN if self._data.past_of(camera).sightings else _FEW
 
     def alternatives(self, camera: str) -> tuple[Alternative, ...]:
         """The possible poses of a camera that is not located, best first."""

@@ -108,7 +108,7 @@ def chi2_per_dof(problem: Problem, solution: Solution) -> float | None:
     )
     last = sum(len(columns) for columns in problem.layout.last.values())
     priors = problem.layout.size - last - 6 * len(problem.layout.pose)
-    priors += 6 * len(problem.priors.cameras)
+    priors += 6 * len(problem.priors.known.poses)
     unknowns = nodes + problem.layout.size - last
     freedom = 2 * corners + odometry + priors - unknowns
     return solution.cost / freedom if freedom > 0 else None

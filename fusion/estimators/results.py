@@ -1,5 +1,6 @@
 """The estimator's results in the form of the network file."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from uuid import NAMESPACE_URL, UUID, uuid5
@@ -48,11 +49,11 @@ class Results:
 
 def map_id_of(data: DataSet) -> UUID | None:
     """The map's identity; None before the first robot's first odometry message."""
-    first = data.site.first_robot
-    track = data.tracks[first]
-    if not len(track):
+    since_ns = data.map_since_ns
+    if since_ns is None:
         return None
-    return uuid5(NAMESPACE_URL, f"trigpoint:{data.site.name}/{first}/{track.first_ns}")
+    first = data.site.first_robot
+    return uuid5(NAMESPACE_URL, f"trigpoint:{data.site.name}/{first}/{since_ns}")
 
 
 def results_of(data: DataSet, estimator: Estimator, map_id: UUID | None) -> Results:
@@ -91,11 +92,7 @@ def _camera(
     undetermined: tuple[str, ...] | None,
 ) -> CameraRecord:
     count = estimator.count(name)
-    earlier = tuple(
-        _earlier(move)
-        for move in data.moves
-        if move.camera == name and move.map_from_camera is not None
-    )
+    earlier = (*data.past_of(name).earlier, *earlier_poses(data.moves, name))
     if located is not None:
         return CameraRecord(
             status="located",
@@ -132,11 +129,19 @@ def _alternative(place: Alternative) -> AlternativeRecord:
     return AlternativeRecord(PoseRecord.of(place.map_from_camera), covariance, place.probability)
 
 
-def _earlier(move: Move) -> EarlierPose:
-    assert move.map_from_camera is not None  # it was located when it was moved
-    assert move.covariance is not None
-    covariance = tuple(move.covariance.reshape(-1).tolist())
-    return EarlierPose(str(move.until_ns), PoseRecord.of(move.map_from_camera), covariance)
+def earlier_poses(moves: Iterable[Move], camera: str) -> tuple[EarlierPose, ...]:
+    """Where a camera was located before each of its moves, the oldest first."""
+    return tuple(
+        EarlierPose(
+            str(move.until_ns),
+            PoseRecord.of(move.map_from_camera),
+            tuple(move.covariance.reshape(-1).tolist()),
+        )
+        for move in moves
+        if move.camera == camera
+        and move.map_from_camera is not None
+        and move.covariance is not None
+    )
 
 
 def _robot(

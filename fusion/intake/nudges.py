@@ -47,5 +47,5 @@ class Nudges:
         return new
 
     def _is_before(self, move: CameraMove) -> bool:
-        epoch_ns = self._data.epoch_ns
-        return move.since_ns < epoch_ns if epoch_ns else not self._data.known.poses
+        begin_ns = self._data.begin_ns
+        return move.since_ns < begin_ns if begin_ns else not self._data.known.poses

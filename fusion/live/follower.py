@@ -133,6 +133,8 @@ class Follower:
 
     def _take_over(self, solved: Solved) -> None:
         """Begin to take over a solution."""
+        if solved.past is not None:
+            self.data.forget(solved.past)
         self.data.conclude(solved.conclusions)
         self._located = solved.located
         self._recent = [r for r in self._recent if r.number is None or r.number > solved.count]

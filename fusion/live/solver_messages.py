@@ -8,6 +8,7 @@ from trigpoint.contract.messages import OccupancyGrid
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.model.dataset import CameraMove, Conclusions, Event
 from trigpoint.fusion.model.observations import Observation
+from trigpoint.fusion.model.past import Past
 from trigpoint.fusion.solver.filter import Filter
 from trigpoint.geometry import CameraModel, Pose
 
@@ -75,7 +76,8 @@ class Solved:
     """A solution over the first `count` observations.
 
     `shares`: see `CurrentFilter`; `conclusions`: what happened, and how noisy it was; `located`:
-    the cameras that are part of it.
+    the cameras that are part of it; `past`: what is not kept any more, where that is more than
+    before.
     """
 
     count: int
@@ -83,6 +85,7 @@ class Solved:
     shares: Shares
     conclusions: Conclusions
     located: tuple[str, ...]
+    past: Past | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from scipy.linalg import LinAlgError
 
 from trigpoint.fusion.estimators.results import map_id_of, results_of
+from trigpoint.fusion.estimators.smoother.settled_past import LIVE, Limits
 from trigpoint.fusion.estimators.smoother.smoother import Smoother
 from trigpoint.fusion.model.dataset import DataSet, Event
 from trigpoint.fusion.solver.snapshot import GuidanceWorld
@@ -27,12 +28,13 @@ from .solver_messages import (
 
 
 class SolverWorker:
-    """A smoother that takes orders. Not thread-safe."""
+    """A smoother that takes orders. Not thread-safe. `limits`: on what it keeps."""
 
-    def __init__(self, data: DataSet) -> None:
-        self._data, self._smoother = data, Smoother(data)
+    def __init__(self, data: DataSet, limits: Limits = LIVE) -> None:
+        self._data, self._smoother = data, Smoother(data, limits)
         self._count = 0
         self._orders = 0
+        self._told = data.past
 
     def carry_out(self, order: Order) -> Iterator[News]:
         """Carry out an order; yields the news from it."""
@@ -79,13 +81,16 @@ class SolverWorker:
             known = known.settled()
         except LinAlgError:
             return  # not determined yet: nothing to go on from
+        past = self._data.past
         yield Solved(
             self._count,
             known,
             dict(self._smoother.current.shares),
             self._data.conclusions(),
             tuple(self._smoother.located),
+            None if past is self._told else past,
         )
+        self._told = past
 
     def report(self, *, is_final: bool = False) -> Reported:
         """The results as they are known now."""

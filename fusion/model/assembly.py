@@ -13,7 +13,7 @@ from trigpoint.site.target import Target
 
 from .dataset import DataSet
 from .known_cameras import KnownCameras
-from .observations import Observation, moving
+from .observations import Observation, base_from_faces, moving
 from .odometry import OdometryTrack
 from .padding import padded_points
 from .problem import (
@@ -251,42 +251,57 @@ def _batch(
 
 def _priors(data: DataSet, cameras: list[str], robots: list[str], *, anchored: bool) -> Priors:
     site = data.site
-    scales = {
-        name: np.array([noise.distance_scale, noise.heading_scale])
-        for name in robots
-        if (noise := site.robots[name].odometry).distance_scale > 0 or noise.heading_scale > 0
-    }
+    noise = {name: site.robots[name].odometry for name in robots}
     fusion = site.fusion
     moves_faces = fusion.target_translation > 0 or fusion.target_rotation > 0
-    known = data.known_at_start if anchored else KnownCameras.none()
     places = {name: data.places_of(data.site_camera(name)) for name in cameras}
     owners = {name: next(each for each in places[name] if each in cameras) for name in cameras}
     configs = {name: site.cameras[data.site_camera(name)] for name in set(owners.values())}
+    known = KnownCameras.none()
+    if anchored:
+        of_robots = {"faces", "scales"}
+        known = data.known_at_start.without(lambda k, name: k in of_robots and name not in robots)
+        known = _by_places(known, data, owners)
+
+    def free(kind: str, name: str, sigmas: Array) -> Array:
+        """Sigmas, infinite where more is known than they say."""
+        is_known = name in known.faces if kind == "faces" else (kind, name) in known.values
+        return np.full_like(sigmas, np.inf) if is_known else sigmas
+
+    lenses = {name: data.lenses[name] for name in configs if configs[name].estimates_intrinsics}
+    of_faces = np.array([fusion.target_translation, fusion.target_rotation])
     return Priors(
         owners=owners,
         lens={
-            name: (data.lenses[name].parameters, lens_sigmas(configs[name], data.lenses[name]))
-            for name in cameras
-            if name in configs and configs[name].estimates_intrinsics
+            name: (lens.parameters, free("lens", name, lens_sigmas(configs[name], lens)))
+            for name, lens in lenses.items()
         },
         time_offset={
-            name: np.array([camera.time_offset_sigma, camera.time_drift_sigma])
-            for name in cameras
-            if name in configs and (camera := configs[name]).time_offset_sigma > 0
+            name: free("clock", name, np.array([camera.time_offset_sigma, camera.time_drift_sigma]))
+            for name, camera in configs.items()
+            if camera.time_offset_sigma > 0
         },
-        scales=scales,
+        scales={
+            name: free("scales", name, np.array([each.distance_scale, each.heading_scale]))
+            for name, each in noise.items()
+            if each.distance_scale > 0 or each.heading_scale > 0
+        },
         faces={
-            name: (
-                data.first_state().robots[name].base_from_face,
-                fusion.target_translation,
-                fusion.target_rotation,
-            )
+            name: (base_from_faces(data.targets[name]), *free("faces", name, of_faces).tolist())
             for name in robots
             if moves_faces
         },
-        cameras=known.poses,
-        camera_information=known.information,
+        known=known,
     )
+
+
+def _by_places(known: KnownCameras, data: DataSet, owners: dict[str, str]) -> KnownCameras:
+    """What is known, its lenses and clocks by the places whose columns they have."""
+    owner_of = {data.site_camera(name): owner for name, owner in owners.items()}
+    values = {
+        (kind, owner_of.get(name, name)): value for (kind, name), value in known.values.items()
+    }
+    return replace(known, values=values)
 
 
 def lens_sigmas(camera: CameraConfig, lens: CameraModel) -> Array:

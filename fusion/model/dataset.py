@@ -15,6 +15,7 @@ from .jitter import Jitter
 from .known_cameras import KnownCameras
 from .observations import Observation, Verdict, base_from_faces, moving
 from .odometry import SLIP, OdometryTrack
+from .past import ODOMETRY_BEFORE_NS, Past, PastCamera
 from .problem import CameraState, RobotState, State
 
 _MOST_TOLD = 64
@@ -101,7 +102,7 @@ class DataSet:
     deviates from their odometry's plane; `odometry_scale`: by robot the factors on the stated
     sigmas of its odometry and on its slip; `told`: moves that cameras noticed themselves, which
     sightings need not show; `corner_scale`: by camera the factor on the stated sigma
-    of its corners.
+    of its corners; `past`: what came before all that is here, None where that is everything.
     """
 
     site: Site
@@ -117,6 +118,7 @@ class DataSet:
     odometry_scale: dict[str, tuple[float, float]] = field(default_factory=dict)
     corner_scale: dict[str, float] = field(default_factory=dict)
     told: list[CameraMove] = field(default_factory=list)
+    past: Past | None = None
     _by_camera: dict[str, list[Entry]] = field(init=False, repr=False, default_factory=dict)
     _sorted: int = field(init=False, repr=False, default=0)
 
@@ -133,7 +135,7 @@ class DataSet:
     @property
     def known_at_start(self) -> KnownCameras:
         """The known cameras as uncertain as they are when the odometry begins."""
-        return self.known.at(self.epoch_ns)
+        return self.known.at(self.begin_ns)
 
     @property
     def last_ns(self) -> int:
@@ -142,9 +144,22 @@ class DataSet:
 
     @property
     def epoch_ns(self) -> int:
-        """The reference time of the clocks' drift: the first robot's first odometry message."""
+        """The reference time of the clocks' drift: where the map's odometry began."""
+        return self.begin_ns if self.past is None else self.past.epoch_ns
+
+    @property
+    def begin_ns(self) -> int:
+        """The stamp of the first robot's first odometry message here; 0 before any."""
         tracks = [self.tracks[self.site.first_robot], *self.tracks.values()]
         return next((track.first_ns for track in tracks if len(track)), 0)
+
+    @property
+    def map_since_ns(self) -> int | None:
+        """The stamp of the map's first odometry message of the first robot; None before it."""
+        if self.past is not None and self.past.map_since_ns is not None:
+            return self.past.map_since_ns
+        track = self.tracks[self.site.first_robot]
+        return track.first_ns if len(track) else None
 
     def since_epoch_s(self, stamps_ns: np.ndarray | int) -> Array:
         """Stamps in seconds since the epoch, of the same shape."""
@@ -211,6 +226,26 @@ class DataSet:
         self._sorted = len(self.entries)
         return self._by_camera.get(camera, [])
 
+    def past_of(self, camera: str) -> PastCamera:
+        """What is kept of a camera's past."""
+        return PastCamera() if self.past is None else self.past.cameras.get(camera, PastCamera())
+
+    def forget(self, past: Past) -> None:
+        """Go on from a past: drop what is part of it, and what was concluded from that."""
+        self.past, self.known = past, past.known
+        self._take_entries(
+            [
+                entry
+                for entry in self.entries
+                if not past.is_over(entry.observation.robot, entry.observation.stamp_ns)
+            ]
+        )
+        for robot, since_ns in past.since_ns.items():
+            self.tracks[robot].forget_before(since_ns - ODOMETRY_BEFORE_NS)
+        self.moves.clear()
+        self.changes.clear()
+        self.told = [told for told in self.told if told.since_ns >= self.begin_ns]
+
     def forget_from(self, index: int) -> None:
         """Drop the entries from this one on."""
         self._take_entries(self.entries[:index])
@@ -224,7 +259,9 @@ class DataSet:
             for name, robot in self.site.robots.items()
         }
         known, lenses = replace(self.known_at_start, poses=poses), dict(self.lenses)
-        return DataSet(self.site, self.targets, lenses, known, tracks, told=list(self.told))
+        return DataSet(
+            self.site, self.targets, lenses, known, tracks, told=list(self.told), past=self.past
+        )
 
     def take_over(self, draft: "DataSet") -> None:
         """Replace the entries and the conclusions by a draft's."""
@@ -281,12 +318,23 @@ class DataSet:
         ]
 
     def first_state(self) -> State:
-        """The state before any sighting: the known cameras, and every robot without nodes."""
-        cameras = {
-            name: CameraState(pose, self.lenses[name]) for name, pose in self.known.poses.items()
-        }
+        """The state before any sighting: what is known beforehand, and every robot without
+        nodes."""
+        known = self.known
+        cameras = {name: self._known_camera(name, pose) for name, pose in known.poses.items()}
         robots = {
-            name: RobotState(Pose.stack([]), np.zeros(2), base_from_faces(self.targets[name]))
+            name: RobotState(
+                Pose.stack([]),
+                known.values.get(("scales", name), np.zeros(2)),
+                known.faces.get(name, base_from_faces(self.targets[name])),
+            )
             for name in self.site.robots
         }
         return State(cameras, robots)
+
+    def _known_camera(self, name: str, pose: Pose) -> CameraState:
+        camera, values = self.site_camera(name), self.known.values
+        lens = self.lenses[name]
+        if ("lens", camera) in values:
+            lens = lens.with_parameters(values["lens", camera])
+        return CameraState(pose, lens, *values.get(("clock", camera), np.zeros(2)).tolist())

@@ -1,11 +1,13 @@
-"""Cameras that are known from an earlier network, and how they crept since then.
+"""What is known from before a map's first message: cameras, and how they crept since then; and what
+is known along with them, such as lenses, of a past that is not kept any more.
 
 A mount creeps as heat, load and time bend it: a random walk of the camera about its own place, of
 each camera by itself. What is more than that is a move, which the association finds.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -45,24 +47,38 @@ class Creep:
         return np.diag(np.repeat([self.translation**2, self.rotation**2], 3)) * days
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False)
 class KnownCameras:
-    """Cameras known from an earlier run: poses, and their joint information (6n, 6n) at the time
-    `until_ns` (None: not known, so that they are taken not to creep); `creep`: by camera."""
+    """Cameras known from before, and the unknowns that go with them: their values, and their joint
+    information (n, n) at the time `until_ns` (None: not known, so that cameras are taken not to
+    creep).
+
+    The information is that of disturbances of `poses`, by camera, and of `faces` (base_from_face,
+    by robot), six of each pose, and then of the `values` by what they are and whose: "lens"
+    (parameters) and "clock" (offset and drift) of a camera, "scales" of a robot. `creep`: by
+    camera.
+    """
 
     poses: dict[str, Pose]
     information: Array
     until_ns: int | None = None
     creep: Mapping[str, Creep] = field(default_factory=dict)
+    faces: dict[str, Pose] = field(default_factory=dict)
+    values: dict[tuple[str, str], Array] = field(default_factory=dict)
 
     @classmethod
     def none(cls) -> "KnownCameras":
         return cls({}, np.zeros((0, 0)))
 
-    @property
+    @cached_property
     def covariance(self) -> Array:
-        """Joint covariance (6n, 6n)."""
+        """Joint covariance (n, n)."""
         return np.linalg.inv(self.information)
+
+    @property
+    def of_poses(self) -> "KnownCameras":
+        """The cameras' poses alone."""
+        return self.without(lambda kind, _: kind != "pose")
 
     def at(self, stamp_ns: int) -> "KnownCameras":
         """The same at a later time, each camera as much less certain as it may have crept."""
@@ -77,6 +93,26 @@ class KnownCameras:
             return replace(self, until_ns=stamp_ns)
         wider = np.linalg.inv(self.covariance + crept)
         return replace(self, information=wider, until_ns=stamp_ns)
+
+    def without(self, is_gone: Callable[[str, str], bool]) -> "KnownCameras":
+        """The same without some of it, which is taken out of the joint distribution; `is_gone`: by
+        what it is ("pose", "faces", or the kind of a value) and whose."""
+        parts = [
+            *(("pose", name, 6) for name in self.poses),
+            *(("faces", robot, 6 * len(faces)) for robot, faces in self.faces.items()),
+            *((kind, owner, len(value)) for (kind, owner), value in self.values.items()),
+        ]
+        is_kept = [not is_gone(kind, owner) for kind, owner, _ in parts]
+        if all(is_kept):
+            return self
+        kept = np.repeat(is_kept, [width for *_, width in parts])
+        return replace(
+            self,
+            poses={n: pose for n, pose in self.poses.items() if not is_gone("pose", n)},
+            information=np.linalg.inv(self.covariance[np.ix_(kept, kept)]),
+            faces={n: faces for n, faces in self.faces.items() if not is_gone("faces", n)},
+            values={key: value for key, value in self.values.items() if not is_gone(*key)},
+        )
 
 
 def known_cameras(

@@ -22,6 +22,7 @@ from trigpoint.base.clock import NANOSECONDS
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
 
+from .known_cameras import KnownCameras
 from .motion import Motion, both, moved
 from .odometry import PLANAR, SPATIAL, OdometryTrack
 
@@ -161,22 +162,21 @@ class Priors:
 
     `lens`: camera -> (parameters, sigmas); `time_offset`: camera -> (2,) sigmas of offset and
     drift; `scales`: robot -> (2,) sigmas; `faces`: robot -> (base_from_face, translation sigma,
-    rotation sigma); `cameras`: known poses by name with their joint information (6n, 6n), in the
-    order of the dict; `owners`: camera -> the one whose lens and clock it shares (the first of a
-    camera's places).
+    rotation sigma); `known`: what is known from before, each camera by the name of its place;
+    what is known of a lens, a clock, scales or faces has infinite sigmas among the others;
+    `owners`: camera -> the one whose lens and clock it shares (the first of a camera's places).
     """
 
     lens: dict[str, tuple[Array, Array]]
     time_offset: dict[str, Array]
     scales: dict[str, Array]
     faces: dict[str, tuple[Pose, float, float]]
-    cameras: dict[str, Pose]
-    camera_information: Array
+    known: KnownCameras = field(default_factory=KnownCameras.none)
     owners: dict[str, str] = field(default_factory=dict)
 
     @classmethod
     def none(cls) -> Self:
-        return cls({}, {}, {}, {}, {}, np.zeros((0, 0)))
+        return cls({}, {}, {}, {})
 
 
 @dataclass(frozen=True, slots=True)

@@ -117,7 +117,7 @@ class Filter:
             information[last, last] = EXACT
         if data.known.poses:
             columns = np.concatenate([layout.pose[name] for name in data.known.poses])
-            information[np.ix_(columns, columns)] = data.known_at_start.information
+            information[np.ix_(columns, columns)] = data.known_at_start.of_poses.information
         reduced = Reduced(layout, information, np.zeros(layout.size))
         return cls(state, stamps, layout, reduced)
 

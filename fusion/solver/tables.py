@@ -30,7 +30,8 @@ PROBLEM = (
     *(In(_WHOLE, ("k",)), In(_REAL, ("k", 3)), In(_REAL, ("k", 2)), In(_REAL, ("k",))),
     *(In(_WHOLE, ("v",)), In(_REAL, ("v", 2))),
     *(In(_REAL, ("f", 12)), In(_REAL, ("f", 6))),
-    *(In(_WHOLE, ("z",)), In(_REAL, ("z", 12)), In(_REAL, ("y", "y"))),
+    *(In(_WHOLE, ("z",)), In(_REAL, ("z", 12))),
+    *(In(_WHOLE, ("w",)), In(_REAL, ("w",)), In(_REAL, ("y", "y"))),
     int,
 )
 
@@ -150,22 +151,41 @@ def _ways(batch: Batch) -> tuple[Array, Array, Array, Array]:
 
 
 def _priors(problem: Problem, state: State) -> tuple[np.ndarray, ...]:
-    """Of lenses, clocks and scales, of all faces, and of known cameras."""
+    """Of lenses, clocks and scales, of all faces, and of what is known from before."""
     priors, layout = problem.priors, problem.layout
     each = [(layout.lens[name], *prior) for name, prior in priors.lens.items()]
     each += [(layout.time_offset[n], np.zeros(2), s) for n, s in priors.time_offset.items()]
     each += [(layout.scales[name], np.zeros(2), s) for name, s in priors.scales.items()]
     numbers = [np.stack([expected, _variance(sigma)], axis=1) for _, expected, sigma in each]
     faces = [_faces_prior(problem, state, name) for name in problem.chains]
-    cameras = {name: row for row, name in enumerate(layout.pose)}
     return (
         np.concatenate([np.empty(0, _WHOLE), *(columns for columns, *_ in each)]),
         _joined(numbers, 2),
         rows_of(expected for expected, _ in faces),
         _joined([variance for _, variance in faces], 6),
-        np.array([cameras[name] for name in priors.cameras], _WHOLE),
-        rows_of(priors.cameras.values()),
-        np.ascontiguousarray(priors.camera_information),
+        *_known(problem, state),
+    )
+
+
+def _known(problem: Problem, state: State) -> tuple[np.ndarray, ...]:
+    """What is known from before: which poses, and what is expected of them; of which columns, and
+    what of these; and the information."""
+    known, layout = problem.priors.known, problem.layout
+    cameras = {name: row for row, name in enumerate(layout.pose)}
+    faces, first = {}, len(cameras)
+    for name in problem.chains:
+        count = len(state.robots[name].base_from_face)
+        faces[name], first = range(first, first + count), first + count
+    rows = [cameras[name] for name in known.poses]
+    rows += [row for name in known.faces for row in faces[name]]
+    columns = {"lens": layout.lens, "clock": layout.time_offset, "scales": layout.scales}
+    mine = [columns[kind][owner] for kind, owner in known.values]
+    return (
+        np.array(rows, _WHOLE),
+        rows_of([*known.poses.values(), *known.faces.values()]),
+        np.concatenate([np.empty(0, _WHOLE), *mine]),
+        _joined(list(known.values.values())),
+        np.ascontiguousarray(known.information),
     )
 
 

@@ -1,17 +1,19 @@
 """The commands `info`, `check` and `recover`."""
 
 from collections.abc import Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from trigpoint.base.clock import NANOSECONDS, to_ns, to_seconds
 from trigpoint.base.errors import InputError
 from trigpoint.base.terminal import table
 from trigpoint.base.words import numberless
 from trigpoint.recorder.mcap.check import check as check_file
 
-from .files import session_files
+from .files import session_files, spans
 from .info import KeyInfo, info_json, info_lines, session_info
 from .recording import open_recording
 from .recover import recover as save_sound
@@ -24,8 +26,19 @@ _SHOWN = 20
 def info(
     session: Session,
     json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
+    at: Annotated[
+        str,
+        typer.Option(
+            metavar='"2026-11-20 14:05"',
+            help="In which file of a folder of recordings a moment is; local time, unless it says "
+            "otherwise (…Z, …+01:00).",
+        ),
+    ] = "",
 ) -> None:
     """What is in a recording: keys with their types, rates, gaps and losses."""
+    if at:
+        _say_where(session, at)
+        return
     found = session_info(open_recording(session))
     if json:
         typer.echo(info_json(found))
@@ -37,6 +50,39 @@ def info(
     rows = [_row(key, one) for key, one in keys]
     styles = ["red" if one.lost or one.sequence_breaks else "" for _, one in keys]
     typer.echo(table(head, rows, left=(0, 6), styles=styles))
+
+
+def _say_where(folder: Path, at: str) -> None:
+    """Say in which files a moment is, and how long after their beginning; status 1 for none."""
+    try:
+        moment = datetime.fromisoformat(at).astimezone()
+    except ValueError:
+        raise InputError(f"--at {at}: this is no time; write one like 2026-11-20 14:05") from None
+    known, at_ns = spans(folder), to_ns(moment.timestamp())
+    if not known:
+        raise InputError(f"{folder}: there is no recording in this folder; check the path")
+    found = [span for span in known if span[1] <= at_ns <= span[2]]
+    for file, first_ns, last_ns in found:
+        after_s = to_seconds(at_ns - first_ns)
+        typer.echo(
+            f"{file}: {_clock(first_ns)} to {_clock(last_ns)}; {after_s:.0f} s after its start"
+        )
+    if found:
+        return
+    before = [span for span in known if span[2] < at_ns]
+    after = [span for span in known if span[1] > at_ns]
+    near = (
+        [f"the last before it ends at {_clock(before[-1][2])} ({before[-1][0]})"] if before else []
+    )
+    near += [f"the first after it begins at {_clock(after[0][1])} ({after[0][0]})"] if after else []
+    typer.echo(f"no recording has {_clock(at_ns)}: {'; '.join(near)}", err=True)
+    raise typer.Exit(1)
+
+
+def _clock(stamp_ns: int) -> str:
+    """A moment in local time."""
+    moment = datetime.fromtimestamp(stamp_ns // NANOSECONDS, UTC).astimezone()
+    return moment.isoformat(sep=" ")
 
 
 def check(session: Session) -> None:

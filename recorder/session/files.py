@@ -85,6 +85,21 @@ def session_files(path: Path, *, takes_several: bool = False) -> list[Path]:
     return files
 
 
+def spans(folder: Path) -> list[tuple[Path, int, int]]:
+    """Every file of the recordings in a folder and in its folders, with its first and last log
+    time, ns, in order of time. What is no MCAP file, or has no messages, is left out."""
+    found = []
+    for file in [*folder.glob("*.mcap"), *folder.glob("*/*.mcap")]:
+        try:
+            chunks = read_index(file).chunks
+        except RecordingError:
+            continue
+        if chunks:
+            first_ns = min(chunk.start_ns for chunk in chunks)
+            found.append((file, first_ns, max(chunk.end_ns for chunk in chunks)))
+    return sorted(found, key=lambda span: span[1:])
+
+
 def repeated_keys(part: McapIndex) -> set[str]:
     """Keys whose first message in this part repeats the part before."""
     return set(filter(None, part.metadata.get(PART, {}).get("repeated", "").split(",")))

@@ -1,7 +1,8 @@
-"""Room on the disk: how much is left, and which finished sessions may make more."""
+"""Room on the disk: how much is left, and which finished recordings may make more."""
 
 import os
 import shutil
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,35 +12,64 @@ from trigpoint.recorder.mcap.records import MAGIC
 @dataclass(frozen=True, slots=True)
 class Room:
     """`minimum_free`: bytes that stay free in `directory`, 0 where it does not matter; `prefix`:
-    how the folders of this site's sessions begin. `frees_oldest`: finished ones may be removed."""
+    how the folders of this site's sessions begin. `frees_oldest`: finished ones may be removed for
+    that; `budget`: bytes that all of them may take together, for which the oldest are removed in
+    any case; 0: any number."""
 
     directory: Path
     minimum_free: float
     frees_oldest: bool
     prefix: str
+    budget: float = 0.0
 
-    def problem(self, running: Path) -> str:
+    def problem(self, running: Path, finished: Iterable[Path] = ()) -> str:
         """Why there is no room to go on, "" where there is.
 
-        The oldest finished sessions are removed first, as far as that is allowed, never the one in
-        the folder `running` nor one whose end was not written.
+        The oldest finished sessions are removed first, as far as that is allowed, never one whose
+        end was not written; of the one in the folder `running` then its `finished` parts, given in
+        their order.
         """
-        while (free := free_bytes(self.directory)) < self.minimum_free:
-            oldest = self._oldest(running) if self.frees_oldest else None
-            if oldest is None:
-                return (
-                    f"{self.directory}: {free / 1e9:.2f} GB are free, {self.minimum_free / 1e9:.2f}"
-                    " GB must stay (minimum_free under [recorder]); make room on the disk"
-                )
-            _remove(oldest)
+        parts = [part for part in finished if part.exists()]
+        while lack := self._lack(running):
+            why, may_remove = lack
+            oldest = self._oldest(running) if may_remove else None
+            if oldest is not None:
+                _remove(oldest)
+            elif may_remove and parts:
+                parts.pop(0).unlink()
+            else:
+                return why
         return ""
 
-    def _oldest(self, running: Path) -> Path | None:
-        if not self.directory.is_dir():
+    def _lack(self, running: Path) -> tuple[str, bool] | None:
+        """What there is too little of, and whether recordings may be removed for it."""
+        free = free_bytes(self.directory)
+        if free < self.minimum_free:
+            why = (
+                f"{self.directory}: {free / 1e9:.2f} GB are free, {self.minimum_free / 1e9:.2f}"
+                " GB must stay (minimum_free under [recorder]); make room on the disk"
+            )
+            return why, self.frees_oldest
+        if not self.budget or (taken := self._taken(running)) <= self.budget:
             return None
-        folders = sorted(self.directory.glob(f"{self.prefix}_*T*Z"))  # their names are times
+        why = (
+            f"{self.directory}: recordings take {taken / 1e9:.2f} GB, {self.budget / 1e9:.2f} are "
+            "allowed (budget under [recorder]); allow more, or begin files more often (split_bytes)"
+        )
+        return why, True
+
+    def _taken(self, running: Path) -> int:
+        files = {file.resolve() for folder in self._folders() for file in folder.glob("*.mcap")}
+        files |= {file.resolve() for file in running.glob("*.mcap")}
+        return sum(file.stat().st_size for file in files)
+
+    def _folders(self) -> list[Path]:
+        """The folders of this site's sessions, the oldest first: their names are times."""
+        return sorted(self.directory.glob(f"{self.prefix}_*T*Z"))
+
+    def _oldest(self, running: Path) -> Path | None:
         here = running.resolve()
-        return next((f for f in folders if f.resolve() != here and _is_finished(f)), None)
+        return next((f for f in self._folders() if f.resolve() != here and _is_finished(f)), None)
 
 
 def free_bytes(directory: Path) -> float:

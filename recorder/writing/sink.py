@@ -39,6 +39,7 @@ _HOLD_S = 0.05
 """How long a message waits for earlier ones that arrive on another of the bus's threads."""
 _ROOM_S = 1.0
 _FIRST_RETRY_S, _LONGEST_RETRY_S = 1.0, 60.0
+_DAY_NS = to_ns(86_400.0)
 
 _LOG = logging.getLogger(__name__)
 
@@ -46,12 +47,14 @@ _LOG = logging.getLogger(__name__)
 @dataclass(frozen=True, slots=True)
 class SinkSettings:
     """How a session is written. `split_bytes`, `split_s`: largest size and duration of a part, 0
-    for no limit; `room`: None if disk space is not managed."""
+    for no limit; `daily`: a new part with each day (UTC); `room`: None if disk space is not
+    managed."""
 
     compression: Compression = Compression.ZSTD
     synchronise_s: float = 5.0
     split_bytes: float = 0.0
     split_s: float = 0.0
+    daily: bool = False
     room: Room | None = None
 
 
@@ -92,7 +95,7 @@ class McapSink:
         self._lock = threading.Lock()
         self._pulse: Pulse | None = None
         self._flushed_ns = self._synchronised_ns = self._looked_ns = clock.elapsed_ns()
-        self._part_ns = self._flushed_ns
+        self._part_ns, self._part_day = self._flushed_ns, 0
         self._part: Part | None = self._open_part(1)
         self._thread = threading.Thread(target=self._run, name="mcap", daemon=True)
         self._thread.start()
@@ -268,7 +271,12 @@ class McapSink:
         settings = self._settings
         is_large = settings.split_bytes and part.writer.size >= settings.split_bytes
         is_long = settings.split_s and now_ns - self._part_ns >= to_ns(settings.split_s)
-        return bool(self._wants_split or is_large or is_long)
+        is_of_yesterday = settings.daily and self._day() > self._part_day
+        return bool(self._wants_split or is_large or is_long or is_of_yesterday)
+
+    def _day(self) -> int:
+        """The number of the day that it is, UTC."""
+        return self._clock.now_ns() // _DAY_NS
 
     def _note(self, part: Part) -> None:
         """Write losses and clock jumps if there are new ones."""
@@ -297,7 +305,7 @@ class McapSink:
                     path.unlink(missing_ok=True)
             raise
         self._number = number
-        self._part_ns = self._clock.elapsed_ns()
+        self._part_ns, self._part_day = self._clock.elapsed_ns(), self._day()
         self._write_metadata(PartFacts(path.name, (0, 0), {}))
         return part
 
@@ -334,7 +342,10 @@ class McapSink:
         if room is None or is_last or now_ns - self._looked_ns < to_ns(_ROOM_S):
             return
         self._looked_ns = now_ns
-        if problem := room.problem(self._first_path.parent):
+        folder = self._first_path.parent
+        problem = room.problem(folder, [folder / fact.name for fact in self._facts])
+        self._facts = [fact for fact in self._facts if (folder / fact.name).exists()]
+        if problem:
             if part is not None:
                 self._finish_part(part)
             self._say(problem)

@@ -93,7 +93,7 @@ class Desk:
         self._stack.enter_context(node)
         self._stack.callback(self.brake.release)
         clock = SystemClock()
-        FusionNode(self.bus, node, inputs, self._folder, clock, solver=lambda: solver).start()
+        FusionNode(self.bus, node, inputs, self._folder, clock, solver=lambda _: solver).start()
         return solver
 
     def start_recorder(self) -> None:

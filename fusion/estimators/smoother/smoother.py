@@ -5,6 +5,8 @@ the filter, is explained together with everything else (`explainer`), and the wh
 (`batch`).
 """
 
+from collections import defaultdict
+
 import numpy as np
 from scipy.linalg import LinAlgError
 
@@ -23,6 +25,7 @@ from trigpoint.fusion.estimators.residuals import (
 from trigpoint.fusion.model.dataset import CameraMove, DataSet, Entry
 from trigpoint.fusion.model.observations import Observation, Verdict
 from trigpoint.fusion.model.odometry import Added
+from trigpoint.fusion.model.past import Past
 from trigpoint.fusion.model.trajectory import interpolated
 from trigpoint.fusion.solver.filter import RobotEstimate
 from trigpoint.fusion.solver.snapshot import GuidanceWorld
@@ -31,13 +34,16 @@ from trigpoint.geometry.rotation import Array
 
 from .batch import BatchSolution
 from .current_filter import CurrentFilter
+from .settled_past import OF_A_SESSION, Limits, past_path, settled_past
 
 
 class Smoother:
-    """See `Estimator`."""
+    """See `Estimator`. `limits`: on what it keeps."""
 
-    def __init__(self, data: DataSet) -> None:
-        self.data = data
+    def __init__(self, data: DataSet, limits: Limits = OF_A_SESSION) -> None:
+        self.data, self._limits = data, limits
+        self._past_paths: dict[str, list[Trajectory]] = defaultdict(list)
+        self._collected = 0
         self._explainer = Explainer(data)
         self._batch = BatchSolution(data)
         self._current = CurrentFilter(data)
@@ -81,6 +87,12 @@ class Smoother:
     def collect(self, observation: Observation) -> None:
         self._explainer.take(observation, is_used=False)
         self.data.entries.append(Entry(self.data.concluded(observation)))
+        # Where that leaves too much open, it is tried again when a tenth more is there.
+        if len(self.data.entries) > 1.1 * self._collected and self._limits.is_reached(
+            self.data, is_open=False
+        ):
+            self.finish()
+            self._collected = len(self.data.entries)
 
     # -- the batch solution -----------------------------------------------------------------------
 
@@ -98,8 +110,13 @@ class Smoother:
 
     def finish(self) -> None:
         """Explain and solve everything that came, unless that is done already."""
-        if not self._explainer.has_new:
+        if not self._explainer.has_new or not self._solve():
             return
+        if self._limits.is_reached(self.data, is_open=self._is_open) and self._summarise():
+            self._solve()
+
+    def _solve(self) -> bool:
+        """Explain and solve everything; whether that succeeded."""
         before = list(self.data.changes)
         # Where little is known of the scales, a draft solution estimates them for the second one.
         is_rough = self._batch.solution is None and bool(rough_robots(self.data))
@@ -111,12 +128,40 @@ class Smoother:
             self.data.note(
                 "unsolved", f"the newest observations could not be solved for yet ({reason})"
             )
-            return
+            return False
         self._explainer.note(self.data.entries)
         self._current.go_on_from(known, self.data.entries, told=self.data.told)
         self.solutions += 1
-        if self.data.changes != before:
+        if any(change not in before for change in self.data.changes):
             report_changes(self.data, self._batch.state)
+        return True
+
+    @property
+    def _is_open(self) -> bool:
+        """Whether later sightings may still change what became of the earlier ones."""
+        explanation = self._explainer.explanation
+        assert explanation is not None  # asked once it is solved
+        is_undecided = any(not each.is_located for each in explanation.findings.values())
+        return is_undecided or any(not self.count(name).is_confirmed for name in self.cameras())
+
+    def _summarise(self) -> bool:
+        """Summarise the older part of what came; whether there is anything to go on from."""
+        try:
+            past = settled_past(self.data, self._batch.state, self._limits.since_ns(self.data))
+        except LinAlgError:
+            return False
+        if past is not None:
+            if self._limits.paths:
+                self._keep_paths(past)
+            self.data.forget(past)
+            self._explainer.forget(past)
+        return past is not None
+
+    def _keep_paths(self, past: Past) -> None:
+        for robot in self.data.site.robots:
+            path = self._recent_path(robot)
+            if path is not None:
+                self._past_paths[robot].append(past_path(path, past, robot))
 
     # -- output -----------------------------------------------------------------------------------
 
@@ -156,10 +201,10 @@ class Smoother:
         return self._explainer.alternatives(camera)
 
     def count(self, camera: str) -> CameraCount:
-        places = self.data.places_of(camera)
+        places, past = self.data.places_of(camera), self.data.past_of(camera)
         entries = [entry for place in places for entry in self.data.of_camera(place)]
-        sightings = sum(len(entry.observation.views) for entry in entries)
-        used = sum(entry.observation.used_views for entry in entries)
+        sightings = past.sightings + sum(len(entry.observation.views) for entry in entries)
+        used = past.used + sum(entry.observation.used_views for entry in entries)
         rejected = sightings - used if camera in self._batch.state.cameras else 0
         rms = None
         if self._batch.problem is not None:
@@ -167,6 +212,18 @@ class Smoother:
         return CameraCount(sightings, rejected, rms)
 
     def trajectory(self, robot: str) -> Trajectory | None:
+        recent = self._recent_path(robot)
+        every = [*self._past_paths[robot], *([recent] if recent is not None else [])]
+        if len(every) < 2:
+            return every[0] if every else None
+        poses = Pose(
+            np.concatenate([path.map_from_base.rotation for path in every]),
+            np.concatenate([path.map_from_base.translation for path in every]),
+        )
+        return Trajectory(np.concatenate([path.stamps_ns for path in every]), poses)
+
+    def _recent_path(self, robot: str) -> Trajectory | None:
+        """The path over the odometry that is kept."""
         track, problem = self.data.tracks[robot], self._batch.problem
         if problem is None or robot not in problem.chains:
             if robot != self.data.anchored_robot or not len(track):

@@ -62,8 +62,10 @@ Problem::Problem(const Argument* given) : given_(given), size_(given[COLUMNS].wh
     read_robots();
     read_pictures();
     require_rows(PRIOR_COLUMNS, size_);
-    require_rows(KNOWN_CAMERAS, array(CAMERAS).shape[0]);
-    require(array(KNOWN_INFORMATION).shape[0] == 6 * array(KNOWN_CAMERAS).shape[0]);
+    require_rows(KNOWN_POSES, array(CAMERAS).shape[0] + array(FACES).shape[0]);
+    require_rows(KNOWN_COLUMNS, size_);
+    require(array(KNOWN_INFORMATION).shape[0] ==
+            6 * array(KNOWN_POSES).shape[0] + array(KNOWN_COLUMNS).shape[0]);
 }
 
 const std::int64_t* Problem::whole(int which, Index row) const {
@@ -236,7 +238,7 @@ void Problem::linearise(const State& state, double huber, Equations& equations) 
     }
     add_pictures(state, huber, equations);
     add_priors(state, equations);
-    add_known_cameras(state, equations);
+    add_known(state, equations);
 }
 
 void Problem::add_motions(const State& state, std::size_t r, Equations& equations) const {
@@ -346,10 +348,10 @@ void Problem::add_pictures(const State& state, double huber, Equations& equation
     }
 }
 
-void Problem::add_priors(const State& state, Equations& equations) const {
-    Eigen::VectorXd values = Eigen::VectorXd::Zero(size_);
+Eigen::VectorXd Problem::values(const State& state) const {
+    Eigen::VectorXd found = Eigen::VectorXd::Zero(size_);
     const auto fill = [&](const Range& range, int which, std::size_t row) {
-        values.segment(range.first, range.count) =
+        found.segment(range.first, range.count) =
             part(state, which).row(static_cast<Index>(row)).head(range.count);
     };
     for (std::size_t c = 0; c < cameras_.size(); ++c) {
@@ -357,6 +359,11 @@ void Problem::add_priors(const State& state, Equations& equations) const {
         fill(cameras_[c].clock, CLOCKS, c);
     }
     for (std::size_t r = 0; r < robots_.size(); ++r) fill(robots_[r].scales, SCALES, r);
+    return found;
+}
+
+void Problem::add_priors(const State& state, Equations& equations) const {
+    const Eigen::VectorXd value = values(state);
     const auto add = [&](Index column, double error, double variance) {
         equations.dense(column, column) += 1 / variance;
         equations.gradient[column] += error / variance;
@@ -364,7 +371,7 @@ void Problem::add_priors(const State& state, Equations& equations) const {
     };
     for (Index v = 0; v < array(PRIOR_COLUMNS).shape[0]; ++v) {
         const Index column = *whole(PRIOR_COLUMNS, v);
-        add(column, values[column] - numbers(PRIORS)[2 * v], numbers(PRIORS)[2 * v + 1]);
+        add(column, value[column] - numbers(PRIORS)[2 * v], numbers(PRIORS)[2 * v + 1]);
     }
     for (const Robot& robot : robots_)
         for (Index k = 0; k < robot.faces.count; ++k) {
@@ -375,26 +382,48 @@ void Problem::add_priors(const State& state, Equations& equations) const {
         }
 }
 
-// The rotation error e has the derivative ∂Log/∂δθ = J_l⁻¹(e).
-void Problem::add_known_cameras(const State& state, Equations& equations) const {
-    const Index count = array(KNOWN_CAMERAS).shape[0];
-    if (count == 0) return;
-    const Eigen::Map<const RowMajor> information(numbers(KNOWN_INFORMATION), 6 * count, 6 * count);
-    Eigen::VectorXd error(6 * count);
-    Eigen::MatrixXd jacobian = Eigen::MatrixXd::Identity(6 * count, 6 * count);
+// The rotation error e has the derivative ∂Log/∂δθ = J_l⁻¹(e); all others have 1.
+void Problem::add_known(const State& state, Equations& equations) const {
+    const Index poses = array(KNOWN_POSES).shape[0], single = array(KNOWN_COLUMNS).shape[0];
+    const Index size = 6 * poses + single, cameras = array(CAMERAS).shape[0];
+    if (size == 0) return;
+    Eigen::MatrixXd square = Eigen::Map<const RowMajor>(numbers(KNOWN_INFORMATION), size, size);
+    Eigen::VectorXd error(size);
+    std::vector<Eigen::Matrix3d> by_turn(at(poses));
     Ranges parts;
-    for (Index z = 0; z < count; ++z) {
-        const Index which = *whole(KNOWN_CAMERAS, z);
-        const Vector6d mine = pose_of(state, CAMERA_POSES, which)
-                                  .difference(pose_at(numbers(EXPECTED_CAMERAS) + 12 * z));
+    for (Index z = 0; z < poses; ++z) {
+        const Index which = *whole(KNOWN_POSES, z), face = which - cameras;
+        const Pose now =
+            face < 0 ? pose_of(state, CAMERA_POSES, which) : pose_of(state, FACES, face);
+        const Vector6d mine = now.difference(pose_at(numbers(EXPECTED_POSES) + 12 * z));
         error.segment<6>(6 * z) = mine;
-        jacobian.block<3, 3>(6 * z + 3, 6 * z + 3) = left_jacobian(mine.tail<3>()).inverse();
-        parts.push_back({cameras_[at(which)].pose.first, 6, 6 * z});
+        by_turn[at(z)] = left_jacobian(mine.tail<3>()).inverse();
+        parts.push_back({face < 0 ? cameras_[at(which)].pose.first : face_column(face), 6, 6 * z});
     }
-    const Eigen::VectorXd pull = information * error;
+    const Eigen::VectorXd value = values(state);
+    for (Index w = 0; w < single; ++w) {
+        const Index column = *whole(KNOWN_COLUMNS, w);
+        error[6 * poses + w] = value[column] - numbers(EXPECTED_VALUES)[w];
+        parts.push_back({column, 1, 6 * poses + w});
+    }
+    Eigen::VectorXd pull = square * error;
     equations.cost += error.dot(pull);
-    equations.add_dense(parts, jacobian.transpose() * information * jacobian,
-                        jacobian.transpose() * pull);
+    for (Index z = 0; z < poses; ++z) {
+        const Eigen::Matrix3d& turn = by_turn[at(z)];
+        square.middleCols<3>(6 * z + 3) *= turn;
+        square.middleRows<3>(6 * z + 3).applyOnTheLeft(turn.transpose());
+        pull.segment<3>(6 * z + 3).applyOnTheLeft(turn.transpose());
+    }
+    equations.add_dense(parts, square, pull);
+}
+
+Index Problem::face_column(Index face) const {
+    for (const Robot& robot : robots_)
+        if (face < robot.first_face + robot.face_count) {
+            require(robot.faces.count > 0);
+            return robot.faces.first + 6 * (face - robot.first_face);
+        }
+    throw std::invalid_argument("a problem has no such face");
 }
 
 }  // namespace trigpoint

@@ -41,9 +41,11 @@ enum Given {
     PRIORS,             // (v, 2): expected, variance
     EXPECTED_FACES,     // (f, 12)
     FACE_VARIANCES,     // (f, 6)
-    KNOWN_CAMERAS,      // (z,)
-    EXPECTED_CAMERAS,   // (z, 12)
-    KNOWN_INFORMATION,  // (6 z, 6 z)
+    KNOWN_POSES,        // (z,): cameras, and behind all of these the faces
+    EXPECTED_POSES,     // (z, 12)
+    KNOWN_COLUMNS,      // (w,): of lenses, clocks and scales
+    EXPECTED_VALUES,    // (w,)
+    KNOWN_INFORMATION,  // (6 z + w, 6 z + w)
     COLUMNS,            // how many the dense part has
     EXACT,              // information of a pose that is known exactly
     HUBER,              // sigmas beyond which a corner's cost is linear
@@ -118,8 +120,12 @@ private:
     Ranges of_picture(Index picture) const;
     void add_motions(const State& state, std::size_t robot, Equations& equations) const;
     void add_pictures(const State& state, double huber, Equations& equations) const;
+    // The first column of an estimated face.
+    Index face_column(Index face) const;
+    // The values of lenses, clocks and scales in their columns.
+    Eigen::VectorXd values(const State& state) const;
     void add_priors(const State& state, Equations& equations) const;
-    void add_known_cameras(const State& state, Equations& equations) const;
+    void add_known(const State& state, Equations& equations) const;
 };
 
 }  // namespace trigpoint

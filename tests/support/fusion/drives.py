@@ -182,6 +182,17 @@ def make_session(plan: Plan) -> Session:
     return Session(plan, _inputs(plan), tuple((n, m) for *_, n, m in found), truth)
 
 
+def with_moved(plan: Plan, camera: str, pose: Pose, at_s: float) -> Session:
+    """A session in which a camera hangs elsewhere from a moment on."""
+    moved = {**plan.cameras, camera: replace(plan.cameras[camera], map_from_camera=pose)}
+    before, after = make_session(plan), make_session(replace(plan, cameras=moved))
+    at_ns = EPOCH_NS + to_ns(at_s)
+    kept = [m for m in before.messages if m[0] != camera or m[1].stamp_ns < at_ns]
+    kept += [m for m in after.messages if m[0] == camera and m[1].stamp_ns >= at_ns]
+    kept.sort(key=lambda sent: (sent[1].stamp_ns, not isinstance(sent[1], Odometry)))
+    return replace(before, messages=tuple(kept))
+
+
 def _truth(robot: RobotPlan, reported: Pose, random: np.random.Generator) -> Pose:
     steps = reported[:-1].inverse() @ reported[1:]
     turns = so3.log(steps.rotation)

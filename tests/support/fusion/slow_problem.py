@@ -67,11 +67,10 @@ def slow_equations(problem: Problem, state: State, *, huber: float = np.inf) -> 
         if chain.is_anchored:
             held = node_rows(problem, name, 0)
             slow.matrix[held, held] += EXACT
-    for columns, error, information in _priors(problem, state):
-        root = np.linalg.cholesky(information)
-        slow.add(first + columns, root.T, root.T @ error)
-    if problem.priors.cameras:
-        _add_known_cameras(slow, problem, state)
+    for columns, error, root in _priors(problem, state):
+        slow.add(first + columns, root, root @ error)
+    if problem.priors.known.poses:
+        _add_known(slow, problem, state)
     return slow
 
 
@@ -157,12 +156,12 @@ def rescaled(motion: Motion, change: Array) -> Motion:
 
 
 def _priors(problem: Problem, state: State) -> list[tuple[np.ndarray, Array, Array]]:
-    """Columns, errors and information of all priors with independent sigmas."""
+    """Columns, errors and the root of the information of all priors with independent sigmas."""
     priors, layout, found = problem.priors, problem.layout, []
 
     def put(columns: np.ndarray, error: Array, sigma: Array) -> None:
         variance = np.where(sigma > 0, sigma**2, 1e-18)
-        found.append((columns, error, np.diag(1 / variance)))
+        found.append((columns, error, np.diag(np.sqrt(1 / variance))))
 
     for name, (expected, sigma) in priors.lens.items():
         put(layout.lens[name], state.cameras[name].lens.parameters - expected, sigma)
@@ -179,16 +178,36 @@ def _priors(problem: Problem, state: State) -> list[tuple[np.ndarray, Array, Arr
     return found
 
 
-def _add_known_cameras(slow: Slow, problem: Problem, state: State) -> None:
-    priors, layout = problem.priors, problem.layout
-    errors = [state.cameras[n].map_from_camera.difference(p) for n, p in priors.cameras.items()]
-    columns = np.concatenate([layout.pose[name] for name in priors.cameras])
+def _add_known(slow: Slow, problem: Problem, state: State) -> None:
+    columns, errors, poses = known_errors(problem, state)
     jacobian = np.eye(len(columns))
-    for index, error in enumerate(errors):
+    for index in range(poses):
         rows = slice(6 * index + 3, 6 * index + 6)
-        jacobian[rows, rows] = np.linalg.inv(so3.left_jacobian(error[3:]))
-    root = np.linalg.cholesky(priors.camera_information)
-    slow.add(dense_row(problem) + columns, root.T @ jacobian, root.T @ np.concatenate(errors))
+        jacobian[rows, rows] = np.linalg.inv(so3.left_jacobian(errors[rows]))
+    root = np.linalg.cholesky(problem.priors.known.information)
+    slow.add(dense_row(problem) + columns, root.T @ jacobian, root.T @ errors)
+
+
+def known_errors(problem: Problem, state: State) -> tuple[np.ndarray, Array, int]:
+    """Of what is known from before: the dense columns (n,), the errors (n,), and how many poses
+    these begin with."""
+    known, layout = problem.priors.known, problem.layout
+    errors = [state.cameras[n].map_from_camera.difference(p) for n, p in known.poses.items()]
+    columns = [layout.pose[name] for name in known.poses]
+    for name, faces in known.faces.items():
+        errors += list(state.robots[name].base_from_face.difference(faces))
+        columns.append(layout.faces[name])
+    poses = len(errors)
+    for (kind, name), expected in known.values.items():
+        if kind == "scales":
+            columns.append(layout.scales[name])
+            errors.append(state.robots[name].scales - expected)
+        else:
+            camera = state.cameras[name]
+            columns.append((layout.lens if kind == "lens" else layout.time_offset)[name])
+            value = camera.lens.parameters if kind == "lens" else np.array(camera.clock)
+            errors.append(value - expected)
+    return np.concatenate(columns), np.concatenate(errors), poses
 
 
 def slow_minimum(

@@ -23,10 +23,11 @@ from trigpoint.fusion.model.odometry import OdometryTrack
 from trigpoint.fusion.model.problem import CameraState, Problem, RobotState, State
 from trigpoint.fusion.model.rolling_shutter import sweep_of
 from trigpoint.fusion.solver.equations import Equations, covariance_of
-from trigpoint.geometry import Pose
+from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
 from trigpoint.site.config import parse_site
+from trigpoint.site.target import Target
 from trigpoint.testing.views import looking_at
 
 from .slow_problem import moved_state
@@ -91,6 +92,7 @@ MAP_FROM_ODOM = {"r1": Pose.identity(), "r2": Pose.planar(0.4, -0.6, 0.7)}
 def small_data(
     *,
     known: bool = False,
+    past: bool = False,
     noise_px: float = 0.0,
     line_delay_s: float = 0.0,
     seed: int = 0,
@@ -98,14 +100,17 @@ def small_data(
 ) -> DataSet:
     """Two robots that two cameras see at a few moments; all is true where there is no noise.
 
-    `known`: the cameras have a joint prior instead of r1's first pose; `line_delay_s`: of c2's
-    rolling shutter.
+    `known`: the cameras have a joint prior instead of r1's first pose; `past`: with them, c1's
+    lens, both clocks, r2's scales and r1's faces; `line_delay_s`: of c2's rolling shutter.
     """
     text = SITE.replace("[robots.r1]", f"line_delay = {line_delay_s}\n[robots.r1]", 1)
     site, random = parse_site(text, directory=Path()), np.random.default_rng(seed)
     lenses = {name: lens(62.0, (-0.2, 0.05, 1e-3, -5e-4, 0.01)) for name in site.cameras}
     targets = {name: make_target() for name in site.robots}
-    data = DataSet(site, targets, lenses, known_eyes(random) if known else KnownCameras.none())
+    before = KnownCameras.none()
+    if known:
+        before = known_past(random, lenses, targets) if past else known_eyes(random)
+    data = DataSet(site, targets, lenses, before)
     for robot, track in data.tracks.items():
         fill_track(track, robot)
     for number in range(sightings):
@@ -123,6 +128,31 @@ def known_eyes(random: np.random.Generator) -> KnownCameras:
     mixed = np.eye(12) + 0.2 * random.standard_normal((12, 12))
     covariance = sigma[:, None] * (mixed @ mixed.T) * sigma
     return KnownCameras(eyes(), np.linalg.inv(covariance))
+
+
+def known_past(
+    random: np.random.Generator, lenses: dict[str, CameraModel], targets: dict[str, Target]
+) -> KnownCameras:
+    """The same with what goes along with cameras."""
+    faces = {"r1": base_from_faces(targets["r1"])}
+    values = {
+        ("lens", "c1"): lenses["c1"].parameters,
+        ("clock", "c2"): np.zeros(2),
+        ("clock", "c1"): np.zeros(2),
+        ("scales", "r2"): np.zeros(2),
+    }
+    sigma = np.concatenate(
+        [
+            np.tile(np.repeat([0.01, 0.004], 3), 2 + len(faces["r1"])),
+            np.full(4, 2.0),
+            np.full(len(values["lens", "c1"]) - 4, 0.01),
+            np.tile([0.004, 1e-5], 2),
+            [0.01, 0.02],
+        ]
+    )
+    mixed = np.eye(len(sigma)) + 0.1 * random.standard_normal((len(sigma), len(sigma)))
+    covariance = sigma[:, None] * (mixed @ mixed.T) * sigma
+    return KnownCameras(eyes(), np.linalg.inv(covariance), faces=faces, values=values)
 
 
 def fill_track(track: OdometryTrack, robot: str) -> None:
@@ -189,10 +219,15 @@ def first_state(data: DataSet, *, off: float = 0.0) -> State:
 
 
 def small_problem(
-    *, known: bool = False, noise_px: float = 0.0, line_delay_s: float = 0.0, off: float = 0.0
+    *,
+    known: bool = False,
+    past: bool = False,
+    noise_px: float = 0.0,
+    line_delay_s: float = 0.0,
+    off: float = 0.0,
 ) -> Assembled:
     """The problem over everything."""
-    data = small_data(known=known, noise_px=noise_px, line_delay_s=line_delay_s)
+    data = small_data(known=known, past=past, noise_px=noise_px, line_delay_s=line_delay_s)
     return assemble(data, first_state(data, off=off), list(range(len(data.entries))))
 
 

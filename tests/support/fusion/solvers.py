@@ -3,17 +3,20 @@
 from collections import deque
 from collections.abc import Sequence
 
+from trigpoint.fusion.estimators.smoother.settled_past import LIVE, Limits
+from trigpoint.fusion.estimators.smoother.smoother import Smoother
 from trigpoint.fusion.live.solver_messages import News, Order, Reported
 from trigpoint.fusion.live.solver_worker import SolverWorker
+from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.pipeline import Inputs
 
 
 class SlowSolver:
     """Solves in place, but is only done with an order after so many more calls."""
 
-    def __init__(self, inputs: Inputs, *, calls: int = 0) -> None:
+    def __init__(self, inputs: Inputs, *, calls: int = 0, limits: Limits = LIVE) -> None:
         self.data = inputs.data_set()
-        self._worker = SolverWorker(self.data)
+        self._worker = SolverWorker(self.data, limits)
         self._orders: deque[Order] = deque()
         self._found: deque[tuple[int, News]] = deque()
         self._calls, self._count = calls, 0
@@ -39,6 +42,13 @@ class SlowSolver:
 
     def close(self) -> None:
         self._orders.clear()
+
+
+class FrugalSmoother(Smoother):
+    """Keeps little of a session."""
+
+    def __init__(self, data: DataSet) -> None:
+        super().__init__(data, Limits(25, paths=True))
 
 
 class StuckSolver(SlowSolver):

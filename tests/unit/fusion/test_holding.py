@@ -36,12 +36,11 @@ from trigpoint.testing.memory_bus import MemoryBroker, MemoryBus
 class Solvers:
     """Makes solvers, and counts them."""
 
-    inputs: Inputs
     made: int = 0
 
-    def __call__(self) -> SlowSolver:
+    def __call__(self, inputs: Inputs) -> SlowSolver:
         self.made += 1
-        return SlowSolver(self.inputs)
+        return SlowSolver(inputs)
 
 
 @dataclass(slots=True)
@@ -79,7 +78,7 @@ def running(
     inputs: Inputs,
     out: Path,
     *,
-    solver: Callable[[], SlowSolver] | None = None,
+    solver: Callable[[Inputs], SlowSolver] | None = None,
     fixed: FixedNetwork | None = None,
 ) -> Iterator[Running]:
     broker, clock = MemoryBroker(), ManualClock(EPOCH_NS)
@@ -103,7 +102,7 @@ def test_fixed_map_corrects_without_a_solver_and_writes_nothing(
     charuco: Session, charuco_results: Results, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(coverage_thread, "PERIOD_S", 0.2)
-    solvers, fixed = Solvers(charuco.inputs), fixed_network(charuco_results)
+    solvers, fixed = Solvers(), fixed_network(charuco_results)
     inputs = not_learning(charuco.inputs)
     with running(inputs, tmp_path, solver=solvers, fixed=fixed) as run:
         corrections = run.bus.subscribe(topics.CORRECTION, topics.CORRECTION.expression("lab"))
@@ -126,7 +125,7 @@ def test_fixed_map_corrects_without_a_solver_and_writes_nothing(
 
 
 def test_operator_holds_a_map_and_learns_it_again(charuco: Session, tmp_path: Path) -> None:
-    solvers = Solvers(charuco.inputs)
+    solvers = Solvers()
     middle = len(charuco.messages) // 2
     with running(charuco.inputs, tmp_path, solver=solvers) as run:
         run.feed(charuco.messages[:100])
@@ -161,11 +160,11 @@ def test_operator_holds_a_map_and_learns_it_again(charuco: Session, tmp_path: Pa
 def test_checkpoint_of_a_learnt_map_is_held_where_the_site_learns_nothing(
     charuco: Session, tmp_path: Path
 ) -> None:
-    with running(charuco.inputs, tmp_path, solver=Solvers(charuco.inputs)) as run:
+    with running(charuco.inputs, tmp_path, solver=Solvers()) as run:
         run.feed(charuco.messages[:400])
         before = run.ask("fusion/map")
     run.fusion.finish()
-    solvers = Solvers(charuco.inputs)
+    solvers = Solvers()
     with running(not_learning(charuco.inputs), tmp_path, solver=solvers) as run:
         assert eventually(run.is_fixed, timeout_s=120.0)
         assert run.ask("fusion/map") == before
@@ -174,7 +173,7 @@ def test_checkpoint_of_a_learnt_map_is_held_where_the_site_learns_nothing(
 
 
 def test_nothing_is_held_before_a_camera_is_located(charuco: Session, tmp_path: Path) -> None:
-    with running(charuco.inputs, tmp_path, solver=Solvers(charuco.inputs)) as run:
+    with running(charuco.inputs, tmp_path, solver=Solvers()) as run:
         assert "no camera is located yet" in run.ask("fusion/learn", {"learn": False})["error"]
         assert run.ask("fusion/learn") == {"learn": True, "map": "learnt"}
 

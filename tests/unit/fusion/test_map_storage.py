@@ -22,7 +22,7 @@ def opened(folder: Path, *, known: tuple[str, ...] = ("r1", "c1")) -> MapStorage
     def knows(key: str) -> bool:
         return any(f"/{name}/" in key for name in known)
 
-    return MapStorage(folder / "checkpoint.bin", SITE, SystemClock(), knows=knows)
+    return MapStorage(folder, SITE, SystemClock(), knows=knows)
 
 
 def store(storage: MapStorage, node: str, *messages: Input) -> None:

@@ -17,6 +17,8 @@ class RecorderConfig(Struct, frozen=True, forbid_unknown_fields=True):
     synchronise: Positive = 5.0
     split_bytes: NotNegative = 0.0
     split_time: NotNegative = 0.0
+    daily: bool = False
     minimum_free: NotNegative = 1e8
     when_full: Literal["stop", "free"] = "stop"
+    budget: NotNegative = 0.0
     ring_bytes: Positive = 256e6

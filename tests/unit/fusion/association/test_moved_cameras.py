@@ -6,21 +6,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.fusion.drives import (
-    EPOCH_NS,
     CameraPlan,
     Plan,
     RobotPlan,
-    Session,
     circle,
     lab_cameras,
     make_session,
     offline,
     pushed,
     straight,
+    with_moved,
 )
 
-from trigpoint.base.clock import to_ns
-from trigpoint.contract.messages import Odometry
 from trigpoint.fusion.model.known_cameras import KnownCameras
 from trigpoint.geometry import Pose
 from trigpoint.geometry import rotation as so3
@@ -34,17 +31,6 @@ def assert_there(camera: CameraRecord, map_from_camera: Pose) -> None:
     assert camera.map_from_camera is not None
     error = camera.map_from_camera.pose.difference(map_from_camera)
     assert error @ np.linalg.solve(camera.covariance_matrix, error) < 6 * 5.0
-
-
-def with_moved(plan: Plan, camera: str, pose: Pose, at_s: float) -> Session:
-    """A session in which a camera hangs elsewhere from a moment on."""
-    moved = {**plan.cameras, camera: replace(plan.cameras[camera], map_from_camera=pose)}
-    before, after = make_session(plan), make_session(replace(plan, cameras=moved))
-    at_ns = EPOCH_NS + to_ns(at_s)
-    kept = [m for m in before.messages if m[0] != camera or m[1].stamp_ns < at_ns]
-    kept += [m for m in after.messages if m[0] == camera and m[1].stamp_ns >= at_ns]
-    kept.sort(key=lambda sent: (sent[1].stamp_ns, not isinstance(sent[1], Odometry)))
-    return replace(before, messages=tuple(kept))
 
 
 def test_camera_that_was_pushed_along_the_floor_is_noticed() -> None:

@@ -44,7 +44,7 @@ class Feed(Protocol):
 
 @contextmanager
 def running(
-    inputs: Inputs, out: Path, make: Callable[[], Solver], clock: Clock | None = None
+    inputs: Inputs, out: Path, make: Callable[[Inputs], Solver], clock: Clock | None = None
 ) -> Iterator[tuple[FusionNode, Node, Feed]]:
     """A fusion node with a solver, and what publishes messages to it."""
     broker = MemoryBroker()
@@ -91,7 +91,7 @@ def test_process_solves_and_a_stop_has_its_last_solution(
     # A stop's 1.2 s are enough for it, but not on a machine that does twenty things.
     monkeypatch.setattr("trigpoint.fusion.last_solution._LAST_SOLUTION_S", PATIENCE_S)
 
-    def make() -> Solver:
+    def make(inputs: Inputs) -> Solver:
         return SolverProcess(charuco.inputs.data_set())
 
     with running(charuco.inputs, tmp_path, make) as (fusion, node, feed):
@@ -112,7 +112,7 @@ class LongQuarter(SystemClock):
 def test_what_came_before_a_stop_is_taken_in(charuco: Session, tmp_path: Path) -> None:
     odometry = tuple((n, m) for n, m in charuco.messages if isinstance(m, Odometry))[:200]
     inputs = charuco.inputs
-    with running(inputs, tmp_path, lambda: SlowSolver(inputs), LongQuarter()) as (_, node, feed):
+    with running(inputs, tmp_path, SlowSolver, LongQuarter()) as (_, node, feed):
         feed(odometry[:100])
         feed(odometry[100:], is_awaited=False)
         node.stop()
@@ -160,7 +160,7 @@ def test_stop_while_a_solution_is_under_way_keeps_what_was_known(
 ) -> None:
     """Also where the solver never had a moment without orders."""
     solver = StuckSolver(charuco.inputs)
-    with running(charuco.inputs, tmp_path, lambda: solver) as (fusion, node, feed):
+    with running(charuco.inputs, tmp_path, lambda _: solver) as (fusion, node, feed):
         half = len(charuco.messages) // 2
         feed(charuco.messages[:half])
         until(node, lambda: solver.has_reported)
@@ -182,7 +182,7 @@ def test_what_comes_while_a_checkpoint_is_read_follows_it(
         checkpoint.write(topic.key("lab", name), cdr.encode(message))
     checkpoint.close()
     solver = SlowSolver(charuco.inputs)
-    with running(charuco.inputs, tmp_path, lambda: solver) as (fusion, node, feed):
+    with running(charuco.inputs, tmp_path, lambda _: solver) as (fusion, node, feed):
         feed(charuco.messages[half:])
         until(node, lambda: fusion.is_resumed)
     fusion.finish()
@@ -206,7 +206,7 @@ def test_stop_while_a_checkpoint_is_read_leaves_everything_as_it_was(
         return take_again(self, key, payload)
 
     monkeypatch.setattr(FusionNode, "_take_again", stopped)
-    with running(charuco.inputs, tmp_path, lambda: SlowSolver(charuco.inputs)) as (fusion, node, _):
+    with running(charuco.inputs, tmp_path, SlowSolver) as (fusion, node, _):
         until(node, node.stopping.is_set)
     fusion.finish()
     assert not fusion.is_resumed

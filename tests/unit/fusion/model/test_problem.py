@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.linalg import LinAlgError
-from support.fusion.slow_problem import rescaled, slow_equations
+from support.fusion.slow_problem import known_errors, rescaled, slow_equations
 from support.fusion.small_problems import (
     first_state,
     shaken,
@@ -28,13 +28,22 @@ from trigpoint.geometry.rotation import Array
 
 @pytest.fixture(
     scope="module",
-    params=["map held by the first pose", "map held by known cameras", "a rolling shutter"],
+    params=[
+        "map held by the first pose",
+        "map held by known cameras",
+        "map held by a known past",
+        "a rolling shutter",
+    ],
 )
 def assembled(request: pytest.FixtureRequest) -> Assembled:
     """Every kind of unknown with its prior, away from what the priors say."""
     line_delay_s = 3e-4 if "rolling" in request.param else 0.0
     return small_problem(
-        known="known" in request.param, noise_px=0.5, line_delay_s=line_delay_s, off=1.0
+        known="known" in request.param,
+        past="past" in request.param,
+        noise_px=0.5,
+        line_delay_s=line_delay_s,
+        off=1.0,
     )
 
 
@@ -106,10 +115,9 @@ def residuals(problem: Problem, state: State) -> Array:
     for name, (expected, translation, rotation) in priors.faces.items():
         error = state.robots[name].base_from_face.difference(expected)
         found.append(error / np.repeat([translation, rotation], 3))
-    if priors.cameras:
-        errors = [state.cameras[n].map_from_camera.difference(p) for n, p in priors.cameras.items()]
-        root = np.linalg.cholesky(priors.camera_information)
-        found.append(root.T @ np.concatenate(errors))
+    if priors.known.poses:
+        root = np.linalg.cholesky(priors.known.information)
+        found.append(root.T @ known_errors(problem, state)[1])
     return np.concatenate([part.reshape(-1) for part in found])
 
 

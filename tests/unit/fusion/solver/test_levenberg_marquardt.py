@@ -28,10 +28,10 @@ from trigpoint.fusion.solver.levenberg_marquardt import (
 from trigpoint.geometry.rotation import Array
 
 
-@pytest.fixture(scope="module", params=["map held by the first pose", "map held by known cameras"])
+@pytest.fixture(scope="module", params=["first pose", "known cameras", "a known past"])
 def assembled(request: pytest.FixtureRequest) -> Assembled:
-    """Every kind of unknown with its prior, without noise."""
-    return small_problem(known="known" in request.param)
+    """Every kind of unknown with its prior, without noise; the map held by this."""
+    return small_problem(known="known" in request.param, past="past" in request.param)
 
 
 def split(problem: Problem, state: State) -> tuple[Array, Array, Array, Array]:
@@ -192,6 +192,7 @@ SITUATIONS = {
     "all": {"entries": list(range(12))},
     "many nodes": {"entries": list(range(50)), "sightings": 50},
     "known cameras": {"entries": list(range(12)), "known": True},
+    "a known past": {"entries": list(range(12)), "known": True, "past": True},
     "a rolling shutter": {"entries": list(range(12)), "line_delay_s": 3e-4},
 }
 

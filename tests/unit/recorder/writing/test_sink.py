@@ -4,7 +4,8 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -238,6 +239,48 @@ def test_the_oldest_finished_session_makes_room_never_the_running_one(tmp_path: 
     assert Room(tmp_path, 0.0, frees_oldest=True, prefix="lab").problem(running) == ""
 
 
+def test_over_the_budget_the_oldest_recordings_go_and_then_finished_parts(tmp_path: Path) -> None:
+    files = [tmp_path / f"lab_2026010{day}T000000Z" / "session.mcap" for day in (1, 2)]
+    running = tmp_path / "lab_20260103T000000Z"
+    parts = [running / "session.mcap", running / "session_part2.mcap"]
+    for file in [*files, *parts]:
+        with McapSink(file, clock=SystemClock()) as sink:
+            put(sink, 1)
+    size = parts[0].stat().st_size
+    room = Room(tmp_path, 0.0, frees_oldest=False, prefix="lab", budget=2.5 * size)
+    assert room.problem(running, parts[:1]) == ""
+    assert [file.exists() for file in [*files, *parts]] == [False, False, True, True]
+    room = replace(room, budget=1.5 * size)
+    assert room.problem(running, parts[:1]) == ""
+    assert [file.exists() for file in parts] == [False, True]
+    assert "are allowed (budget under [recorder])" in replace(room, budget=1.0).problem(running)
+
+
+class Midnight(SystemClock):
+    """A clock that is set to just before midnight, and may be moved on."""
+
+    late_ns = 0
+
+    def now_ns(self) -> int:
+        return 20_000 * 86_400_000_000_000 - 1_000_000_000 + self.late_ns
+
+
+def test_a_new_file_begins_with_each_day_and_what_is_removed_is_in_no_list(tmp_path: Path) -> None:
+    clock, path = Midnight(), tmp_path / "lab_20241003T000000Z" / "session.mcap"
+    room = Room(tmp_path, 0.0, frees_oldest=False, prefix="lab")
+    with McapSink(path, clock=clock, settings=SinkSettings(daily=True, room=room)) as sink:
+        put(sink, clock.now_ns())
+        assert eventually(lambda: sink.depth == 0)
+        assert sink.part == 1
+        clock.late_ns = 2_000_000_000
+        assert eventually(lambda: sink.part == 2)
+        put(sink, clock.now_ns())
+        path.unlink()  # as a room with a budget does it
+        assert eventually(lambda: not sink._facts)
+    with AnyReader([path.parent]) as reader:
+        assert reader.message_count == 1
+
+
 def test_a_recording_without_room_waits_and_goes_on(tmp_path: Path) -> None:
     path, said = tmp_path / "s.mcap", []
     room = FullAtFirst(tmp_path, 1e30, frees_oldest=False, prefix="lab")
@@ -254,11 +297,11 @@ def test_a_recording_without_room_waits_and_goes_on(tmp_path: Path) -> None:
 class FullAtFirst(Room):
     """A disk on which room is made after the first look."""
 
-    def problem(self, running: Path) -> str:
+    def problem(self, running: Path, finished: Iterable[Path] = ()) -> str:
         if running in _LOOKED:
             return ""
         _LOOKED.add(running)
-        return super().problem(running)
+        return super().problem(running, finished)
 
 
 _LOOKED: set[Path] = set()

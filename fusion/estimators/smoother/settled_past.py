@@ -1,0 +1,176 @@
+"""Bounds what a map keeps: of a long session the older part is summarised (`model/past`).
+
+That is done once a solution explains everything, and nothing in it is open; or in the end in any
+case, since memory and the time of a solution are to depend on the last hours and not on the age of
+the map. What is not decided by then has to be seen again.
+"""
+
+from collections import defaultdict
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from trigpoint.base.clock import NANOSECONDS
+from trigpoint.fusion.estimators.crept import crept
+from trigpoint.fusion.estimators.interface import Trajectory
+from trigpoint.fusion.estimators.results import earlier_poses
+from trigpoint.fusion.model.assembly import assemble
+from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.known_cameras import Creep, KnownCameras
+from trigpoint.fusion.model.past import ODOMETRY_BEFORE_NS, Past, PastCamera
+from trigpoint.fusion.model.problem import State
+from trigpoint.fusion.solver.equations import covariance_of
+from trigpoint.fusion.solver.filter import Filter
+from trigpoint.fusion.solver.levenberg_marquardt import solve
+
+_TOLERANCE = 1e-4
+# Of each robot so many sightings stay, unless it drove on for long without one: it is not lost.
+_LEAST_OF_A_ROBOT = 20
+_MOST_UNSEEN_ODOMETRY = 20_000
+_MOST_EARLIER = 64
+_PATH_STEP_NS = NANOSECONDS // 10
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """How much is kept at least, of which twice as much may come before the rest is summarised,
+    and three times as much while something is open: sightings, and messages of odometry. `paths`:
+    whether the robots' paths are kept all the same."""
+
+    sightings: int
+    odometry: int = 200_000
+    paths: bool = False
+
+    def is_reached(self, data: DataSet, *, is_open: bool) -> bool:
+        """Whether a part of the data is to be summarised."""
+        times = 3 if is_open else 2
+        messages = sum(len(track) for track in data.tracks.values())
+        return len(data.entries) > times * self.sightings or messages > times * self.odometry
+
+    def since_ns(self, data: DataSet) -> dict[str, int]:
+        """By robot, the stamp from which on its sightings stay."""
+        stamps: dict[str, list[int]] = defaultdict(list)
+        for entry in data.entries:
+            stamps[entry.observation.robot].append(entry.observation.stamp_ns)
+        cut_ns = max(
+            _newest([s for each in stamps.values() for s in each], self.sightings),
+            _newest(np.concatenate([t.stamps_ns for t in data.tracks.values()]), self.odometry),
+        )
+        moved_ns = max((m.since_ns for m in data.moves if m.since_ns <= cut_ns), default=0)
+        return {
+            robot: min(cut_ns, max(moved_ns, self._own_ns(data, robot, stamps[robot], cut_ns)))
+            for robot in data.tracks
+        }
+
+    def _own_ns(self, data: DataSet, robot: str, stamps: list[int], cut_ns: int) -> int:
+        """The stamp from which on a robot's own last sightings stay; `cut_ns` where it has none."""
+        if not stamps:
+            return cut_ns
+        own_ns = _newest(stamps, _LEAST_OF_A_ROBOT)
+        unseen = int(np.sum(data.tracks[robot].stamps_ns > max(stamps)))
+        return own_ns if unseen <= _MOST_UNSEEN_ODOMETRY else cut_ns
+
+
+LIVE = Limits(3_000)
+OF_A_SESSION = Limits(10_000, 600_000, paths=True)
+"""Of a recording, which is explained as a whole as long as a machine can bear."""
+
+
+def past_path(path: Trajectory, past: Past, robot: str) -> Trajectory:
+    """The part of a robot's path that is past, at most ten poses a second of it."""
+    begin_ns = past.since_ns[robot] - ODOMETRY_BEFORE_NS
+    count = max(int(np.searchsorted(path.stamps_ns, begin_ns, "right")) - 1, 0)
+    rows = np.flatnonzero(np.diff(path.stamps_ns[:count] // _PATH_STEP_NS, prepend=0))
+    return Trajectory(path.stamps_ns[rows], path.map_from_base[rows])
+
+
+def _newest(stamps: "np.ndarray | list[int]", count: int) -> int:
+    """The oldest of so many newest stamps; 0 where there are fewer."""
+    every = np.asarray(stamps, dtype=np.int64)
+    return int(np.partition(every, -count)[-count]) if len(every) > count else 0
+
+
+def settled_past(data: DataSet, state: State, since_ns: Mapping[str, int]) -> Past | None:
+    """The past of a solved data set: all that is older than `since_ns`, by robot. None where it
+    locates nothing, or its solution does not converge. Raises LinAlgError where it is not
+    determined."""
+    gone = [e for e in data.entries if e.observation.stamp_ns < since_ns[e.observation.robot]]
+    past = replace(data, entries=gone)
+    used = past.usable(state.cameras)
+    if not used:
+        return None
+    assembled = assemble(past, state, used)
+    solution = solve(assembled.problem, assembled.start, tolerance=_TOLERANCE)
+    if not solution.has_converged:
+        return None
+    known = Filter.after(solution.state, assembled.problem, solution.reduced)
+    known = known.spread(crept(past, known))
+    places = _last_places(past, known, max(since_ns.values()))
+    return Past(
+        known=_known(past, known, solution.state, places),
+        since_ns=dict(since_ns),
+        map_since_ns=data.map_since_ns,
+        epoch_ns=data.epoch_ns,
+        lenses={name: data.lenses[name] for name in data.site.cameras if name in data.lenses},
+        cameras={name: _counted(past, name, since_ns) for name in data.site.cameras},
+    )
+
+
+def _last_places(past: DataSet, known: Filter, end_ns: int) -> dict[str, str]:
+    """By camera that is located at the end of the past: the name of its place there."""
+    places = {}
+    for camera in past.site.cameras:
+        moves = [move for move in past.moves if move.camera == camera and end_ns < move.since_ns]
+        place = moves[0].name if moves else camera
+        seen = [past.entries[i].observation.stamp_ns for i in past.usable([place])]
+        is_gone = any(
+            told.camera == camera
+            and told.since_ns < end_ns
+            and max(seen, default=0) < told.since_ns
+            for told in past.told
+        )
+        if known.has_camera(place) and not is_gone:
+            places[camera] = place
+    return places
+
+
+def _known(past: DataSet, known: Filter, state: State, places: Mapping[str, str]) -> KnownCameras:
+    """What a solution over the past knows of everything but the robots' poses."""
+    layout = known.layout
+    columns = [layout.pose[place] for place in places.values()]
+    faces = {robot: state.robots[robot].base_from_face for robot in layout.faces}
+    columns += [layout.faces[robot] for robot in faces]
+    values = {}
+    for camera, place in places.items():
+        if place in layout.lens:
+            values["lens", camera] = state.cameras[place].lens.parameters
+            columns.append(layout.lens[place])
+        if place in layout.time_offset:
+            values["clock", camera] = np.array(state.cameras[place].clock)
+            columns.append(layout.time_offset[place])
+    for robot in layout.scales:
+        values["scales", robot] = state.robots[robot].scales
+        columns.append(layout.scales[robot])
+    rows = np.concatenate(columns)
+    return KnownCameras(
+        poses={camera: state.cameras[place].map_from_camera for camera, place in places.items()},
+        information=covariance_of(known.known.covariance[np.ix_(rows, rows)]),
+        until_ns=max(entry.observation.stamp_ns for entry in past.entries),
+        creep=Creep.of_all(past.site.cameras),
+        faces=faces,
+        values=values,
+    )
+
+
+def _counted(past: DataSet, camera: str, since_ns: Mapping[str, int]) -> PastCamera:
+    """A camera's counts with those of the past before."""
+    before, cut_ns = past.past_of(camera), max(since_ns.values())
+    entries = [e.observation for place in past.places_of(camera) for e in past.of_camera(place)]
+    gone = [move for move in past.moves if move.since_ns <= cut_ns]
+    earlier = (*before.earlier, *earlier_poses(gone, camera))
+    return PastCamera(
+        before.sightings + sum(len(observation.views) for observation in entries),
+        before.used + sum(observation.used_views for observation in entries),
+        earlier[-_MOST_EARLIER:],
+    )

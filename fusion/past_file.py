@@ -1,0 +1,165 @@
+"""The file of what a map keeps of its past (`model/past`); the checkpoint has what came since.
+
+msgpack behind a head and a checksum. It is replaced whole, so that a killed fusion leaves the one
+before, with which the checkpoint still has every message that it needs.
+"""
+
+import logging
+import os
+import zlib
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from trigpoint.geometry import Pose
+from trigpoint.geometry.rotation import Array
+from trigpoint.map.network import EarlierPose, IntrinsicsRecord
+from trigpoint.site.config import Site
+from trigpoint.site.target import Target
+
+from .checkpoint import set_aside
+from .model.known_cameras import Creep, KnownCameras
+from .model.past import Past, PastCamera
+
+_MAGIC = b"trigpoint-past/1\n"
+_CHECK = 4  # bytes of the checksum
+
+_log = logging.getLogger(__name__)
+
+
+class _Camera(msgspec.Struct, array_like=True):
+    sightings: int
+    used: int
+    earlier: tuple[EarlierPose, ...]
+
+
+class _Document(msgspec.Struct):
+    """Poses are rows of twelve numbers (`Pose.rows`); all arrays are little-endian doubles."""
+
+    site: str
+    since_ns: dict[str, int]
+    map_since_ns: int | None
+    epoch_ns: int
+    until_ns: int | None
+    poses: dict[str, bytes]
+    faces: dict[str, bytes]
+    values: list[tuple[str, str, bytes]]
+    information: bytes
+    lenses: dict[str, IntrinsicsRecord]
+    cameras: dict[str, _Camera]
+
+
+def save_past(path: Path, past: Past, site: Site) -> None:
+    """Replace the file; raise OSError where the disk does not take it."""
+    body = msgspec.msgpack.encode(_document(past, site))
+    part = path.with_suffix(".part")
+    with part.open("wb") as file:
+        file.write(_MAGIC + zlib.crc32(body).to_bytes(_CHECK, "little") + body)
+        file.flush()
+        os.fsync(file.fileno())
+    part.replace(path)
+
+
+def load_past(path: Path, site: Site, targets: dict[str, Target]) -> Past | None:
+    """The past of a map; None where there is none, or where the file is damaged, which is logged
+    and the file kept under another name. Of cameras and robots that the site file lost, and of what
+    it does not estimate any more, nothing is taken."""
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        return None
+    body = data[len(_MAGIC) + _CHECK :]
+    check = int.from_bytes(data[len(_MAGIC) :][:_CHECK], "little")
+    if data[: len(_MAGIC)] != _MAGIC or zlib.crc32(body) != check:
+        _log.error(
+            "%s is damaged, and the map's past lost with it; a new map begins with what came since "
+            "(the file is kept as %s)",
+            path,
+            set_aside(path),
+        )
+        return None
+    return _past(msgspec.msgpack.decode(body, type=_Document), site, targets)
+
+
+def _document(past: Past, site: Site) -> _Document:
+    known = past.known
+    return _Document(
+        site=site.name,
+        since_ns=dict(past.since_ns),
+        map_since_ns=past.map_since_ns,
+        epoch_ns=past.epoch_ns,
+        until_ns=known.until_ns,
+        poses={name: _bytes(pose.rows()) for name, pose in known.poses.items()},
+        faces={name: _bytes(faces.rows()) for name, faces in known.faces.items()},
+        values=[(kind, name, _bytes(value)) for (kind, name), value in known.values.items()],
+        information=_bytes(known.information),
+        lenses={
+            name: IntrinsicsRecord.of(lens, np.zeros(len(lens.parameters)))
+            for name, lens in past.lenses.items()
+        },
+        cameras={
+            name: _Camera(camera.sightings, camera.used, camera.earlier)
+            for name, camera in past.cameras.items()
+        },
+    )
+
+
+def _past(document: _Document, site: Site, targets: dict[str, Target]) -> Past:
+    information = _numbers(document.information)
+    size = round(len(information) ** 0.5)
+    known = KnownCameras(
+        poses={name: _poses(rows)[0] for name, rows in document.poses.items()},
+        information=information.reshape(size, size),
+        until_ns=document.until_ns,
+        creep=Creep.of_all(site.cameras),
+        faces={name: _poses(rows) for name, rows in document.faces.items()},
+        values={(kind, name): _numbers(value) for kind, name, value in document.values},
+    )
+    lenses = {name: record.camera for name, record in document.lenses.items()}
+    return Past(
+        known=known.without(lambda kind, name: not _is_of_site(known, site, targets, kind, name)),
+        since_ns={name: ns for name, ns in document.since_ns.items() if name in site.robots},
+        map_since_ns=document.map_since_ns,
+        epoch_ns=document.epoch_ns,
+        lenses={name: lens for name, lens in lenses.items() if name in site.cameras},
+        cameras={
+            name: PastCamera(camera.sightings, camera.used, camera.earlier)
+            for name, camera in document.cameras.items()
+        },
+    )
+
+
+def _is_of_site(
+    known: KnownCameras, site: Site, targets: dict[str, Target], kind: str, name: str
+) -> bool:
+    """Whether a part of what is known is something that the site still has, or estimates."""
+    if kind in ("pose", "lens", "clock"):
+        camera = site.cameras.get(name)
+        if camera is None:
+            return False
+        is_estimated = {
+            "pose": True,
+            "lens": camera.estimates_intrinsics,
+            "clock": camera.time_offset_sigma > 0,
+        }
+        return is_estimated[kind]
+    robot, fusion = site.robots.get(name), site.fusion
+    if robot is None:
+        return False
+    if kind == "scales":
+        return robot.odometry.distance_scale > 0 or robot.odometry.heading_scale > 0
+    is_estimated = fusion.target_translation > 0 or fusion.target_rotation > 0
+    return is_estimated and len(known.faces[name]) == len(targets[name].faces)
+
+
+def _bytes(array: Array) -> bytes:
+    return np.asarray(array, dtype="<f8").tobytes()
+
+
+def _numbers(data: bytes) -> Array:
+    return np.frombuffer(data, dtype="<f8").astype(float)
+
+
+def _poses(data: bytes) -> Pose:
+    return Pose.from_rows(_numbers(data).reshape(-1, 12))

@@ -1,0 +1,79 @@
+"""From when on sightings are kept, so that memory is bounded and no robot is lost."""
+
+from dataclasses import replace
+
+import pytest
+from support.fusion.drives import EPOCH_NS
+from support.fusion.small_problems import small_data
+
+from trigpoint.base.clock import to_ns
+from trigpoint.fusion.estimators.smoother import settled_past
+from trigpoint.fusion.estimators.smoother.settled_past import Limits
+from trigpoint.fusion.model.dataset import DataSet, Entry, Move
+from trigpoint.geometry import Pose
+
+_SECONDS = 400
+
+
+def data_of(seen_s: dict[str, range]) -> DataSet:
+    """Two robots that drive, with a message a second, each seen at these seconds."""
+    data = small_data(sightings=1)
+    (entry,) = data.entries
+    data.entries.clear()
+    for robot, track in data.tracks.items():
+        end = int((track.last_ns - EPOCH_NS) // to_ns(1.0)) + 1
+        for second in range(end, _SECONDS):
+            track.add(EPOCH_NS + to_ns(second), Pose.planar(0.2 * second, 0.0, 0.0))
+        for second in seen_s[robot]:
+            seen = replace(entry.observation, robot=robot, stamp_ns=EPOCH_NS + to_ns(second))
+            data.entries.append(Entry(seen))
+    return data
+
+
+def kept_since_s(limits: Limits, data: DataSet) -> dict[str, float]:
+    return {r: (ns - EPOCH_NS) / 1e9 for r, ns in limits.since_ns(data).items()}
+
+
+def test_the_newest_sightings_are_kept() -> None:
+    data = data_of({"r1": range(100, 300, 2), "r2": range(101, 300, 2)})
+    assert kept_since_s(Limits(sightings=100), data) == {"r1": 200.0, "r2": 200.0}
+
+
+def test_of_much_odometry_the_newest_is_kept_and_what_it_takes_to_know_where_robots_are() -> None:
+    data = data_of({"r1": range(100, 300, 2), "r2": range(101, 399, 2)})
+    since = kept_since_s(Limits(sightings=100, odometry=100), data)
+    assert since == {"r1": 260.0, "r2": pytest.approx(350.0, abs=1.0)}
+
+
+def test_a_robot_that_was_not_seen_for_long_keeps_its_last_sightings() -> None:
+    data = data_of({"r1": range(100, 400), "r2": range(5, 45)})
+    assert kept_since_s(Limits(sightings=100), data) == {"r1": 300.0, "r2": 25.0}
+
+
+def test_a_robot_that_drove_on_unseen_keeps_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    data = data_of({"r1": range(100, 400), "r2": range(5, 45)})
+    monkeypatch.setattr(settled_past, "_MOST_UNSEEN_ODOMETRY", 200)
+    assert kept_since_s(Limits(sightings=100), data) == {"r1": 300.0, "r2": 300.0}
+
+
+def test_none_is_kept_from_before_a_camera_was_moved_in_the_past() -> None:
+    """Where it hung then is not known any more."""
+    data = data_of({"r1": range(100, 400), "r2": range(5, 45)})
+    data.moves.append(Move("c1", "c1@1", EPOCH_NS + to_ns(30.0), EPOCH_NS + to_ns(20.0)))
+    data.moves.append(Move("c2", "c2@1", EPOCH_NS + to_ns(350.0), EPOCH_NS + to_ns(340.0)))
+    assert kept_since_s(Limits(sightings=100), data) == {"r1": 300.0, "r2": 30.0}
+
+
+@pytest.mark.parametrize(
+    ("count", "is_open", "is_reached"),
+    [
+        (200, False, False),
+        (201, False, True),
+        (300, True, False),
+        (301, True, True),
+    ],
+)
+def test_what_is_open_is_given_more_time(count: int, is_open: bool, is_reached: bool) -> None:
+    data = data_of({"r1": range(0), "r2": range(0)})
+    data.entries = [Entry(small_data(sightings=1).entries[0].observation)] * count
+    assert Limits(sightings=100).is_reached(data, is_open=is_open) == is_reached
