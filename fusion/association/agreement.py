@@ -13,7 +13,7 @@ from .factor import Factor
 from .graph import Graph, Place, Placed
 
 _REAL = np.float64
-_AGREEMENT = Kernel(
+AGREEMENT = Kernel(
     "tp_agreement",
     Factor,
     *(In(_REAL, (1, 12)), In(np.int64, (6,)), In(_REAL, ("k", 12)), In(_REAL, ("k", 6, 6))),
@@ -53,7 +53,7 @@ def agreement(
     """
     old, new = (_given(graph, placed, each) for each in (first, second))
     cost = np.empty((len(old[-1]), len(new[-1])))
-    _AGREEMENT(placed.factor, *old, *new, beside, cost)
+    AGREEMENT(placed.factor, *old, *new, beside, cost)
     return cost
 
 

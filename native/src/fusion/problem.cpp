@@ -273,6 +273,7 @@ OdometryTerm Problem::motion(const State& state, Index row) const {
     const auto robot = std::find_if(robots_.begin(), robots_.end(), [&](const Robot& each) {
         return row < each.first_motion + each.motions;
     });
+    require(robot != robots_.end());
     const Index node = robot->first_node + row - robot->first_motion;
     return {pose_of(state, NODES, node),
             pose_of(state, NODES, node + 1),
