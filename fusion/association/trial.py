@@ -22,9 +22,11 @@ from .events import Events
 # any decision depends on.
 _TOLERANCE = 0.03
 _MOST_STEPS = 12
-# Of `PROBLEM`.
-_DEVIATIONS, _FACES, _POINTS, _WEIGHTS = 10, 11, 12, 14
-_WRITTEN = _FACES, _POINTS, _WEIGHTS
+# Of how many clocks a visit's tables are kept: each round of an estimated one ends with another.
+_MOST_KEPT = 4
+# Of `PROBLEM`: the robot's deviations in pictures; what a round writes, the corners' faces, points
+# and weights.
+_DEVIATIONS, _WRITTEN = 10, (11, 12, 14)
 _REAL, _WHOLE, _FLAG = np.float64, np.int64, np.bool_
 GIVEN = (
     *(EquationsHandle, *STATE),
@@ -97,9 +99,10 @@ class Pictures:
 
     def tables(self, camera: CameraState, poses: Pose) -> Tables:
         """The problem with a camera's clock; `poses` (p): where the robot may be."""
-        found = self._tables.get(camera.clock)
-        if found is None:
-            found = self._tables[camera.clock] = self._assembled(camera, poses)
+        found = self._tables.pop(camera.clock, None) or self._assembled(camera, poses)
+        self._tables[camera.clock] = found  # the last one used is the last
+        if len(self._tables) > _MOST_KEPT:
+            del self._tables[next(iter(self._tables))]
         return found
 
     def _assembled(self, camera: CameraState, poses: Pose) -> Tables:
