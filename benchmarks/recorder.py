@@ -1,5 +1,4 @@
-"""Sessions written and read: our sink and our reader against those of the mcap library, and
-pictures of a mebibyte against a plain file that is synchronised."""
+"""Sessions written and read: our sink and our reader against those of the mcap library."""
 
 import os
 from dataclasses import dataclass
@@ -19,9 +18,8 @@ from .network.messages import odometry, picture
 from .table import Row, share_of
 from .timing import timed
 
-_PICTURES, _READINGS, _LARGE = 500, 60_000, 60  # each fits into the sink's queue of 64 MiB
+_PICTURES, _READINGS = 500, 60_000  # each fits into the sink's queue of 64 MiB
 _ROUNDS = 3
-_PLAIN_ROUNDS = 9  # a twentieth of a second each, which anything else on the machine disturbs
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,29 +44,7 @@ def run(effort: float = 1.0) -> list[Row]:
         Load("odometry, 720 B", topics.ODOMETRY, reading, share_of(_READINGS, effort)),
         Load("messages, 100 B", topics.ODOMETRY, bytes(100), share_of(_READINGS, effort)),
     )
-    large = Load("pictures, 1 MiB", topics.IMAGE, os.urandom(2**20), share_of(_LARGE, effort))
-    return [row for load in loads for row in _rows(load)] + [_plain_row(large)]
-
-
-def _plain_row(load: Load) -> Row:
-    """The best of some rounds of writing, in turns with the plain file."""
-    ours, plain = [], []
-    for _ in range(_PLAIN_ROUNDS):
-        with TemporaryDirectory() as folder:
-            path = Path(folder) / "ours.mcap"
-            ours.append(timed(lambda path=path: _write(load, path))[0])
-            file = Path(folder) / "plain.bin"
-            plain.append(timed(lambda file=file: _write_plain(load, file))[0])
-    mine, theirs = load.megabytes / min(ours), load.megabytes / min(plain)
-    other = "a plain file, then fsync"
-    return Row("recorder", f"write {load.what}", "MB/s", mine, theirs, other, more_is_better=True)
-
-
-def _write_plain(load: Load, path: Path) -> None:
-    with path.open("wb", buffering=0) as file:
-        for _ in range(load.count):
-            file.write(load.payload)
-        os.fsync(file.fileno())
+    return [row for load in loads for row in _rows(load)]
 
 
 def _rows(load: Load) -> list[Row]:
@@ -77,18 +53,14 @@ def _rows(load: Load) -> list[Row]:
     ours, bare, our_reader, bare_reader = (
         load.megabytes / min(s) for s in zip(*rounds, strict=True)
     )
-    writer = "mcap's writer, then fsync"
+
+    def row(what: str, ours: float, other: float, against: str) -> Row:
+        what = f"{what} {load.what}"
+        return Row("recorder", what, "MB/s", ours, other, against, more_is_better=True)
+
     return [
-        Row("recorder", f"write {load.what}", "MB/s", ours, bare, writer, more_is_better=True),
-        Row(
-            "recorder",
-            f"read {load.what}",
-            "MB/s",
-            our_reader,
-            bare_reader,
-            "mcap's reader",
-            more_is_better=True,
-        ),
+        row("write", ours, bare, "mcap's writer, then fsync"),
+        row("read", our_reader, bare_reader, "mcap's reader"),
     ]
 
 

@@ -41,14 +41,12 @@ BENCHMARKS: dict[str, Benchmark] = {
     "world": Benchmark(
         "the same of boards as the world shows them", "pictures.world_detection", "skimage"
     ),
-    "capacity": Benchmark("how many cameras does a core carry?", "pictures.capacity"),
     "agent": Benchmark("what does an agent of eight cameras take of a core?", "pictures.agent"),
     "messages": Benchmark("what do messages cost beside rosbags?", "network.messages"),
     "bus": Benchmark("how late are messages beside bare Zenoh?", "network.bus"),
     "recorder": Benchmark("how fast are recordings written and read beside mcap?", "recorder"),
     "calibration": Benchmark(
-        "what does `calibrate` take, how does that grow, how near to the bound is it?",
-        "fusion.calibration",
+        "what does `calibrate` take, and how does that grow?", "fusion.calibration"
     ),
     "gtsam": Benchmark(
         "what does a solution take beside GTSAM?", "fusion.gtsam_comparison", "gtsam"
@@ -64,10 +62,7 @@ BENCHMARKS: dict[str, Benchmark] = {
         has_options=True,
     ),
     "latency": Benchmark(
-        "how late is a correction, beside the sum of its parts?", "robot.latency", is_long=True
-    ),
-    "relay": Benchmark(
-        "what do a secured router and a signature cost?", "network.relay", is_long=True
+        "how late is a correction, and where did the time go?", "latency", is_long=True
     ),
     "networks": Benchmark(
         "what do bad networks delay and lose, also for an hour, beside an undisturbed twin?",

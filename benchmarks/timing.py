@@ -50,6 +50,12 @@ def resident_mb(process: int | str) -> float:
     return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
+def family(process: int) -> list[int]:
+    """A process and all that it began; raises OSError once it has ended."""
+    begun = Path(f"/proc/{process}/task/{process}/children").read_text().split()
+    return [process, *(each for child in begun for each in family(int(child)))]
+
+
 def side_by_side(
     ours: Callable[[], object], other: Callable[[], object], *, times: int, rounds: int = ROUNDS
 ) -> tuple[float, float]:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from trigpoint.base.clock import Clock, to_ns, to_seconds
+from trigpoint.base.disk import free_bytes
 from trigpoint.base.ending import ENDING
 from trigpoint.base.errors import OperationError
 from trigpoint.bus.bus import Bus, Sample
@@ -103,6 +104,7 @@ class FusionNode:
         cameras = len(self._site.cameras)
         self._node.health.gauge("cameras_undetermined", lambda: cameras - self._located_count)
         self._node.health.gauge("worst_sigma_m", lambda: self._publishing.accuracy.worst_sigma_m)
+        self._node.health.gauge("disk_free_bytes", lambda: free_bytes(self._out))
         for path, answer in (
             ("fusion/network", self._answer_network),
             ("fusion/map", self._answer_map),

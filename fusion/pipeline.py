@@ -5,7 +5,9 @@ node feeds it from the bus, `calibrate` from a recording.
 """
 
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import replace
+from typing import Self
 from uuid import UUID
 
 from trigpoint.base.clock import to_ns
@@ -160,6 +162,15 @@ class Pipeline:
         return {reason: count for reason, count in self.left_out.items() if reason not in kinds}
 
     # -- input ------------------------------------------------------------------------------------
+
+    def replay(self, messages: Iterable[tuple[str, Message]]) -> Self:
+        """Take the messages of a recording in this order, and work at each reading of odometry;
+        nothing is sent."""
+        for node, message in messages:
+            self.push(node, message)
+            if isinstance(message, Odometry):
+                self.advance()
+        return self
 
     def push(self, node: str, message: Message) -> bool:
         """Take a message of a camera or robot; one that is not in the site file is counted.

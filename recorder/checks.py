@@ -1,10 +1,10 @@
 """What `doctor` looks at for the recorder."""
 
 import importlib.util
-import shutil
 from pathlib import Path
 
 from trigpoint.base.checks import Check
+from trigpoint.base.disk import free_bytes
 from trigpoint.base.words import install_command
 
 _NEEDED = 1e9
@@ -22,9 +22,7 @@ def checks() -> list[Check]:
 
 def room(directory: Path) -> Check:
     """Disk space where sessions would be written; the directory itself need not be there yet."""
-    while not directory.exists():
-        directory = directory.parent
-    free = shutil.disk_usage(directory).free
+    free = free_bytes(directory)
     message = f"{free / 1e9:.1f} GB free for sessions at {directory.resolve()}"
     if free > _NEEDED:
         return Check("room to record", "ok", message)

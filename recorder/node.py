@@ -8,6 +8,7 @@ from types import TracebackType
 from typing import Self
 
 from trigpoint.base.clock import Clock, SystemClock, to_ns
+from trigpoint.base.disk import free_bytes
 from trigpoint.base.ending import ENDING
 from trigpoint.base.errors import InputError, OperationError
 from trigpoint.bus.bus import Bus, Sample
@@ -22,7 +23,7 @@ from .mcap.chunk import Compression
 from .session.files import FILE, session_path
 from .session.recording import NETWORK_ATTACHMENT
 from .writing.attachments import site_files
-from .writing.free_space import Room, free_bytes
+from .writing.free_space import Room
 from .writing.intake import Intake, is_wanted, recorded_topics
 from .writing.part import AttachedFile
 from .writing.ring import MovedCameras, Ring

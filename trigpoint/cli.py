@@ -182,30 +182,26 @@ GROUPS = {
     "secure": "Certificates of a site's nodes, and who may come in.",
 }
 
-EXTRAS: dict[str, str] = {
-    "cv2": "edge",
-    "serial": "robot",
-    "filterpy": "fusion",
-    "scipy": "fusion",
-    "isal": "recorder",
-    "lz4": "recorder",
-    "mcap": "recorder",
-    "zstandard": "recorder",
-    "rerun": "recorder",
-    "rerun_cli": "recorder",
-    "pyarrow": "recorder",
-    "reportlab": "tools",
-    "starlette": "board",
-    "uvicorn": "board",
+EXTRAS: dict[str, tuple[str, ...]] = {
+    "PIL": ("recorder", "board"),
+    "av": ("streams",),
+    "cryptography": ("secure",),
+    "cv2": ("edge", "fusion"),
+    "filterpy": ("fusion",),
+    "isal": ("recorder",),
+    "lz4": ("recorder",),
+    "mcap": ("recorder",),
+    "pyarrow": ("recorder",),
+    "reportlab": ("tools",),
+    "rerun": ("recorder",),
+    "rerun_cli": ("recorder",),
+    "scipy": ("fusion",),
+    "serial": ("robot",),
+    "starlette": ("board",),
+    "uvicorn": ("board",),
+    "zstandard": ("recorder",),
 }
-"""Package -> the extra that installs it, if the command's own row names none."""
-
-SITE_EXTRAS: dict[str, str] = {
-    "av": "streams",
-    "PIL": "recorder",
-    "cryptography": "secure",
-}
-"""The same for packages that a site file may require of any command."""
+"""Package -> the extras that install it; the first, unless another is the command's own."""
 
 
 def main() -> NoReturn:
@@ -365,9 +361,9 @@ def missing_extra(error: ModuleNotFoundError, user: str, extra: str) -> MissingE
     """The message for a third-party package that `user` lacks, and the `extra` that has it, where
     it is known; None for any other import error."""
     package = (error.name or "").partition(".")[0]
-    if package not in EXTRAS and package not in SITE_EXTRAS:
+    if package not in EXTRAS:
         return None
-    extra = SITE_EXTRAS.get(package) or extra or EXTRAS[package]
+    extra = extra if extra in EXTRAS[package] else EXTRAS[package][0]
     return MissingExtraError(
         f"`{user}` needs the package «{package}», which is not installed here; "
         f"run: {install_command(extra)}"

@@ -1,6 +1,6 @@
 """The targets that robots carry in drawn sessions: patterns of every kind, on three shapes."""
 
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 from msgspec import structs
@@ -16,28 +16,21 @@ from trigpoint.tools.shapes.upright import print_size, upright
 
 _BOX_MARGIN_M = 0.02
 
-_NOWHERE = {"translation": (0.0, 0.0, 0.0), "quaternion": (0.0, 0.0, 0.0, 1.0)}
 
-
-def _checkerboard(columns: int, rows: int, square: float) -> Face:
-    pattern = Pattern.CHECKERBOARD
-    return Face(id=0, pattern=pattern, columns=columns, rows=rows, square=square, **_NOWHERE)
-
-
-def _marked(
-    pattern: Pattern, columns: int, rows: int, square: float, marker: float, dictionary: str
+def _face(
+    pattern: Pattern,
+    columns: int,
+    rows: int,
+    square: float,
+    marker: float | None = None,
+    dictionary: str | None = None,
 ) -> Face:
-    return Face(
-        id=0,
-        pattern=pattern,
-        columns=columns,
-        rows=rows,
-        square=square,
-        marker=marker,
-        dictionary=dictionary,
-        **_NOWHERE,
-    )
+    """Such a face, wherever it is."""
+    here = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+    return Face(0, pattern, columns, rows, square, *here, marker=marker, dictionary=dictionary)
 
+
+_checkerboard = partial(_face, Pattern.CHECKERBOARD)
 
 # Of each pattern: what each of a target's faces has printed on it (the last one for all further),
 # for the first, second and third robot where they carry different ones. Checkerboards whose
@@ -65,9 +58,9 @@ _PRINTS: dict[str, tuple[tuple[Face, ...], ...]] = {
             for size in ((10, 7), (10, 6), (10, 8), (9, 5), (9, 8), (10, 5))
         ),
     ),
-    "charuco": ((_marked(Pattern.CHARUCO, 9, 7, 0.0285, 0.021, "DICT_5X5_1000"),),) * 3,
-    "charuco_large": ((_marked(Pattern.CHARUCO, 5, 4, 0.06, 0.045, "DICT_4X4_250"),),) * 3,
-    "aprilgrid": ((_marked(Pattern.APRILGRID, 3, 2, 0.1, 0.078, "DICT_APRILTAG_36h11"),),) * 3,
+    "charuco": ((_face(Pattern.CHARUCO, 9, 7, 0.0285, 0.021, "DICT_5X5_1000"),),) * 3,
+    "charuco_large": ((_face(Pattern.CHARUCO, 5, 4, 0.06, 0.045, "DICT_4X4_250"),),) * 3,
+    "aprilgrid": ((_face(Pattern.APRILGRID, 3, 2, 0.1, 0.078, "DICT_APRILTAG_36h11"),),) * 3,
 }
 
 

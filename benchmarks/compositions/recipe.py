@@ -108,18 +108,15 @@ class Recipe:
         }
 
 
-def drawn(kind: str, seed: int, *, mismatch: bool = False) -> Recipe:
-    """The recipe of a kind and a seed; raise ValueError that lists the kinds.
-
-    `mismatch`: also what the site file does not know.
-    """
+def drawn(kind: str, seed: int) -> Recipe:
+    """The recipe of a kind and a seed; raise ValueError that lists the kinds."""
     if kind not in KINDS:
         raise ValueError(f"there is no kind «{kind}»; choose of {', '.join(KINDS)}")
     recipe = Recipe(kind, seed)
     preset = KINDS[kind]
     recipe = preset.draw(recipe) if preset.draw else recipe
     recipe = replace(recipe, **preset.always)
-    return unknown_to_the_site(recipe) if mismatch or preset.is_mismatch else recipe
+    return unknown_to_the_site(recipe) if preset.is_mismatch else recipe
 
 
 @dataclass(frozen=True, slots=True)

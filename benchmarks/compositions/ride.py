@@ -9,13 +9,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from msgspec import structs
 
-from trigpoint.contract.odometry_noise import step_variances
 from trigpoint.geometry import Pose
 from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import wrap
 from trigpoint.site.config import OdometryNoise
 from trigpoint.tools.simulation.motion.odometry import chained
-from trigpoint.tools.simulation.motion.way import scattered
+from trigpoint.tools.simulation.motion.way import chained_in_space, scattered, scattered_in_space
 
 from .recipe import Recipe
 
@@ -23,8 +22,19 @@ STEP_S = 0.01  # true poses; pictures are taken at them
 STEPS_A_MESSAGE = 5  # 20 Hz
 _SPEED_M_S, _TURN_RAD_S = 0.4, 0.9
 _SLIP_S, _SLIPS_A_SECOND = 0.5, 0.1
-# Of a robot that moves in space, as the defaults are of one in the plane.
-_VERTICAL, _TILT = 0.003, 0.003
+# What scatters by a random walk; in space also as the defaults are in the plane.
+_SCATTERS = (
+    "distance",
+    "lateral",
+    "heading_drive",
+    "heading_turn",
+    "vertical",
+    "tilt",
+    "tilt_turn",
+)
+_IN_SPACE = dict.fromkeys(("vertical", "tilt", "tilt_turn"), 0.003)
+# How far a robot in space is held beside its level way, m and rad.
+_MOST_SWING = np.array([0.03, 0.03, 0.15, 0.15, 0.15, 0.1])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,13 +62,11 @@ class Ride:
         return self.map_from_base[np.clip(index, 0, len(self.map_from_base) - 1)]
 
     def lasting(self, end_s: float) -> "Ride":
-        """The same, standing at its end until then."""
-        more = round(end_s / STEP_S) - len(self.map_from_base) + 1
-        return replace(
-            self,
-            map_from_base=_held(self.map_from_base, more),
-            odom_from_base=_held(self.odom_from_base, more),
-        )
+        """The same, standing at its end until then, which is not before that."""
+        last = len(self.map_from_base) - 1
+        kept = np.minimum(np.arange(round(end_s / STEP_S) + 1), last)
+        true, reported = self.map_from_base[kept], self.odom_from_base[kept]
+        return replace(self, map_from_base=true, odom_from_base=reported)
 
 
 class Driver:
@@ -71,9 +79,10 @@ class Driver:
         self._random = recipe.random("wheels", robot)
         self._noise = true_noise(recipe)
         self._slip = recipe.slip
-        self._swing = Swing.drawn(self._random) if recipe.in_space else None
+        self._swing = Swing(self._random) if recipe.in_space else None
         self.scale_errors = self._random.standard_normal(2) * recipe.scale
-        self._truth, self._report = [Pose.planar(*start)], [Pose.planar(*odometry_start)]
+        self._truth = [Pose.stack([Pose.planar(*start)])]
+        self._report = [Pose.stack([Pose.planar(*odometry_start)])]
         self._steps = 0
         self._stops_s: list[float] = []
         self._straight_s: list[tuple[float, float]] = []
@@ -82,7 +91,7 @@ class Driver:
     @property
     def here(self) -> np.ndarray:
         """Where it truly is: (3,) x, y, heading."""
-        pose = self._truth[-1][-1] if self._truth[-1].translation.ndim > 1 else self._truth[-1]
+        pose = self._truth[-1][-1]
         return np.array([*pose.translation[:2], pose.heading])
 
     @property
@@ -91,8 +100,7 @@ class Driver:
 
     def turn_to(self, heading_rad: float) -> None:
         """Turn on the spot."""
-        turn = float(wrap(heading_rad - self.here[2]))
-        self.turn_by(turn)
+        self.turn_by(float(wrap(heading_rad - self.here[2])))
 
     def turn_by(self, turn_rad: float) -> None:
         """Turn on the spot, also by more than a half turn."""
@@ -130,12 +138,12 @@ class Driver:
 
     def lift_to(self, place: np.ndarray) -> None:
         """Be put elsewhere, (3,) x, y, heading, which the odometry does not notice."""
-        self._stand_quietly()
+        self._append(np.zeros((STEPS_A_MESSAGE, 3)))
         self._lifts_s.append(self.now_s + STEP_S / 2)
         self._truth.append(Pose.stack([Pose.planar(*place)]))
-        self._report.append(_last(self._report[-1]))
+        self._report.append(self._report[-1][-1:])
         self._steps += 1
-        self._stand_quietly(STEPS_A_MESSAGE - 1)
+        self._append(np.zeros((STEPS_A_MESSAGE - 1, 3)))
 
     def ride(self) -> Ride:
         """What happened so far."""
@@ -149,9 +157,6 @@ class Driver:
             self._swing is not None,
         )
 
-    def _stand_quietly(self, steps: int = STEPS_A_MESSAGE) -> None:
-        self._append(np.zeros((steps, 3)))
-
     def _leg(self, length: float, turn: float, seconds: float) -> None:
         """A leg of one curvature, as long as a whole number of messages."""
         messages = int(np.ceil(seconds / (STEP_S * STEPS_A_MESSAGE) - 1e-9))
@@ -164,131 +169,71 @@ class Driver:
         self._append(np.tile(step, (count, 1)))
 
     def _append(self, steps: np.ndarray) -> None:
-        if self._swing is not None:
-            self._append_in_space(steps, self._swing)
+        """Drive level steps (n, 3); in space it also rises, sinks and leans on them."""
+        here, told, how = (
+            self._truth[-1][-1],
+            self._report[-1][-1],
+            (self._noise, self.scale_errors),
+        )
+        if self._swing is None:
+            moved = scattered(steps, *how, self._random) * self._kept(len(steps))
+            truth, report = chained(here, moved), chained(told, steps)
         else:
-            moved = scattered(steps, self._noise, self.scale_errors, self._random)
-            if self._slip:
-                moved = moved * (1 - self._slip * self._slipping(len(steps)))[:, None]
-            self._truth.append(chained(_last(self._truth[-1])[0], moved)[1:])
-            self._report.append(chained(_last(self._report[-1])[0], steps)[1:])
+            swung = self._swing.on(steps)
+            moved = scattered_in_space(swung, *how, self._random)
+            kept = self._kept(len(steps))
+            moved = Pose(so3.exp(so3.log(moved.rotation) * kept), moved.translation * kept)
+            truth, report = chained_in_space(here, moved), chained_in_space(told, swung)
+        self._truth.append(truth[1:])
+        self._report.append(report[1:])
         self._steps += len(steps)
 
-    def _append_in_space(self, steps: np.ndarray, swing: "Swing") -> None:
-        """The same while it also rises, sinks and leans."""
-        before, after = swing.along(steps)
-        level = Pose.planar(steps[:, 0], steps[:, 1], steps[:, 2])
-        reported = before.inverse() @ level @ after
-        slip = 1 - self._slip * self._slipping(len(steps))[:, None] if self._slip else 1.0
-        moved = scattered_in_space(reported, self._noise, self.scale_errors, slip, self._random)
-        self._truth.append(_followed(_last(self._truth[-1])[0], moved))
-        self._report.append(_followed(_last(self._report[-1])[0], reported))
-
-    def _slipping(self, count: int) -> np.ndarray:
-        """Which of the steps lie in a burst, (count,) of 0 and 1."""
+    def _kept(self, count: int) -> np.ndarray:
+        """How much of each step is not lost to slip, which comes in bursts, (count, 1)."""
+        if not self._slip:
+            return np.ones((count, 1))
         starts = self._random.random(count) < _SLIPS_A_SECOND * STEP_S
         burst = np.ones(round(_SLIP_S / STEP_S))
-        return np.minimum(np.convolve(starts, burst)[:count], 1.0)
+        return 1 - self._slip * np.minimum(np.convolve(starts, burst)[:count], 1.0)[:, None]
 
 
 class Swing:
     """How a robot in space is held beside its level way: waves of what it has driven and turned, so
     that it stands still where that does."""
 
-    def __init__(self, amplitudes: np.ndarray, lengths: np.ndarray) -> None:
-        """Both (6,): of each part of a pose, m and rad; of driven metres and turned radians."""
-        self.amplitudes, self.lengths = amplitudes, lengths
+    def __init__(self, random: np.random.Generator) -> None:
+        self._amplitudes = _MOST_SWING * random.uniform(0.5, 1.0, 6)
+        self._lengths = random.uniform(0.5, 1.5, 6)  # of driven metres and turned radians
         self._way = 0.0
 
-    @classmethod
-    def drawn(cls, random: np.random.Generator) -> "Swing":
-        most = np.array([0.03, 0.03, 0.15, 0.15, 0.15, 0.1])
-        return cls(most * random.uniform(0.5, 1.0, 6), random.uniform(0.5, 1.5, 6))
-
-    def along(self, steps: np.ndarray) -> tuple[Pose, Pose]:
-        """Level base to base before and after each of the next steps (n, 3)."""
+    def on(self, steps: np.ndarray) -> Pose:
+        """The next level steps (n, 3) as they are then."""
         gone = np.hypot(steps[:, 0], steps[:, 1]) + np.abs(steps[:, 2])
         ways = self._way + np.concatenate([[0.0], np.cumsum(gone)])
         self._way = float(ways[-1])
-        swung = self.amplitudes * np.sin(ways[:, None] / self.lengths)
+        swung = self._amplitudes * np.sin(ways[:, None] / self._lengths)
         held = Pose.identity().repeated(len(ways)).disturbed(swung)
-        return held[:-1], held[1:]
-
-
-def scattered_in_space(
-    reported: Pose,
-    noise: OdometryNoise,
-    scale_errors: np.ndarray,
-    slip: np.ndarray | float,
-    random: np.random.Generator,
-) -> Pose:
-    """True motion (n) of reported steps (n) in space, with the contract's noise in all directions;
-    `slip` (n, 1): the share of each that is not lost."""
-    turns = so3.log(reported.rotation)
-    moves = np.linalg.solve(so3.left_jacobian(turns), reported.translation[..., None])[..., 0]
-    variances = step_variances(noise, np.linalg.norm(moves, axis=1), np.linalg.norm(turns, axis=1))
-    draw = random.standard_normal((len(turns), 6))
-    shift = np.sqrt(variances.translation) * draw[:, :3]
-    shift = (so3.exp(0.5 * turns) @ shift[..., None])[..., 0]
-    turns = turns * (1 + scale_errors[1]) * slip
-    moves = moves * (1 + scale_errors[0]) * slip
-    true = Pose(so3.exp(turns), (so3.left_jacobian(turns) @ moves[..., None])[..., 0])
-    return true.disturbed(np.hstack([shift, np.sqrt(variances.rotation) * draw[:, 3:]]))
-
-
-def _followed(start: Pose, steps: Pose) -> Pose:
-    """The poses (n) that steps (n) lead to."""
-    poses = [start]
-    for step in range(len(steps)):
-        poses.append(poses[-1] @ steps[step])
-    return Pose.stack(poses[1:])
+        return held[:-1].inverse() @ Pose.planar(*steps.T) @ held[1:]
 
 
 def told_noise(recipe: Recipe) -> OdometryNoise:
     """What the site file says of every robot's odometry."""
-    plain = OdometryNoise()
-    return structs.replace(
-        plain,
-        distance=plain.distance * recipe.noise,
-        lateral=plain.lateral * recipe.noise,
-        heading_drive=plain.heading_drive * recipe.noise,
-        heading_turn=plain.heading_turn * recipe.noise,
-        vertical=_VERTICAL * recipe.noise * recipe.in_space,
-        tilt=_TILT * recipe.noise * recipe.in_space,
-        tilt_turn=_TILT * recipe.noise * recipe.in_space,
-        distance_scale=recipe.scale,
-        heading_scale=recipe.scale,
-    )
+    plain = OdometryNoise(**(_IN_SPACE if recipe.in_space else {}))
+    scales = {"distance_scale": recipe.scale, "heading_scale": recipe.scale}
+    return structs.replace(_times(plain, recipe.noise), **scales)
 
 
 def true_noise(recipe: Recipe) -> OdometryNoise:
     """How the odometry truly scatters."""
-    told = told_noise(recipe)
-    return structs.replace(
-        told,
-        distance=told.distance / recipe.stated,
-        lateral=told.lateral / recipe.stated,
-        heading_drive=told.heading_drive / recipe.stated,
-        heading_turn=told.heading_turn / recipe.stated,
-        vertical=told.vertical / recipe.stated,
-        tilt=told.tilt / recipe.stated,
-        tilt_turn=told.tilt_turn / recipe.stated,
-    )
+    return _times(told_noise(recipe), 1 / recipe.stated)
 
 
-def _last(poses: Pose) -> Pose:
-    """The last one, with a leading dimension."""
-    return poses[-1:] if poses.translation.ndim > 1 else Pose.stack([poses])
-
-
-def _held(poses: Pose, more: int) -> Pose:
-    index = np.minimum(np.arange(len(poses) + max(more, 0)), len(poses) - 1)
-    return poses[index]
+def _times(noise: OdometryNoise, factor: float) -> OdometryNoise:
+    return structs.replace(noise, **{name: factor * getattr(noise, name) for name in _SCATTERS})
 
 
 def _joined(parts: list[Pose]) -> Pose:
-    stacked = [part if part.translation.ndim > 1 else Pose.stack([part]) for part in parts]
     return Pose(
-        np.concatenate([part.rotation for part in stacked]),
-        np.concatenate([part.translation for part in stacked]),
+        np.concatenate([part.rotation for part in parts]),
+        np.concatenate([part.translation for part in parts]),
     )

@@ -14,7 +14,7 @@ from .room import Camera
 from .views import faces_in_sight
 
 _PICTURE_STAND_S, _SHORT_STAND_S = 1.0, 0.6
-_MOST_DRAWS = 30
+_MOST_DRAWS = 60
 # No further place is gone to after that; a drive has pictures all the time.
 _LONGEST_DANCE_S, _LONGEST_DRIVE_S = 300.0, 150.0
 
@@ -134,24 +134,30 @@ def _stop(
     unlike: float | None = None,
 ) -> None:
     """Drive to a place, turn so that the camera sees something, and stand."""
-    heading = _heading_in_sight(tour, camera, place, unlike)
+    seen_from = heading_in_sight(tour.recipe, tour.random, tour.target, camera, place, unlike)
     tour.driver.go_to(place)
-    tour.driver.turn_to(heading)
+    tour.driver.turn_to(seen_from[0])
     tour.driver.stand(seconds)
 
 
-def _heading_in_sight(
-    tour: _Tour, camera: Camera, place: np.ndarray, unlike: float | None
-) -> float:
-    """A drawn heading at which the camera finds a face; by more than 50° unlike another one."""
+def heading_in_sight(
+    recipe: Recipe,
+    random: np.random.Generator,
+    target: Target,
+    camera: Camera,
+    place: np.ndarray,
+    unlike: float | None,
+) -> tuple[float, bool]:
+    """A drawn heading, by more than 50° unlike another one, and whether the camera finds a face at
+    it; of many the first at which it does."""
     heading = 0.0
     for _ in range(_MOST_DRAWS):
-        heading = float(tour.random.uniform(-np.pi, np.pi))
+        heading = float(random.uniform(-np.pi, np.pi))
         if unlike is not None and abs(wrap(heading - unlike)) < np.radians(50):
             continue
-        if faces_in_sight(tour.recipe, tour.target, np.append(place, heading), camera):
-            break
-    return heading
+        if faces_in_sight(recipe, target, np.append(place, heading), camera):
+            return heading, True
+    return heading, False
 
 
 def _maybe_lifted(tour: _Tour, index: int) -> None:

@@ -1,8 +1,8 @@
 """A drawn session: who saw what and when, the messages of it, and the truth."""
 
-import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from operator import itemgetter
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from trigpoint.geometry import Pose
 from trigpoint.tools.simulation.disturbance import mounted
 
 from .carried import target_of
-from .recipe import KINDS, Recipe, drawn
+from .recipe import Recipe, drawn
 from .ride import STEP_S, STEPS_A_MESSAGE, Ride
 from .room import Camera, cameras_of
 from .route import ride_of
@@ -38,10 +38,7 @@ class Composition:
     @property
     def name(self) -> str:
         """Of its folder: kind and seed."""
-        recipe = self.recipe
-        preset = KINDS.get(recipe.kind)
-        is_added = recipe.is_mismatched and not (preset and preset.is_mismatch)
-        return f"{recipe.kind}{'-mismatch' if is_added else ''}-{recipe.seed}"
+        return f"{self.recipe.kind}-{self.recipe.seed}"
 
     @property
     def lasts_s(self) -> float:
@@ -82,9 +79,7 @@ class Composition:
 
     def messages(self) -> list[tuple[int, str, Message]]:
         """(when it was received, after the start; camera or robot; message), in that order."""
-        order = itertools.count()
-        items = [(at, next(order), node, m) for at, node, m in self._sent()]
-        return [(at, node, message) for at, _, node, message in sorted(items, key=_by_time)]
+        return sorted(self._sent(), key=itemgetter(0))
 
     def _sent(self) -> Iterator[tuple[int, str, Message]]:
         for camera in self.cameras:
@@ -115,9 +110,9 @@ class Composition:
             yield at_ns + to_ns(_TWICE_S), camera.name, message
 
 
-def composed_session(kind: str, seed: int, *, mismatch: bool = False) -> Composition:
+def composed_session(kind: str, seed: int) -> Composition:
     """The session of a kind and a seed, always the same."""
-    return session_of(drawn(kind, seed, mismatch=mismatch))
+    return session_of(drawn(kind, seed))
 
 
 def session_of(recipe: Recipe) -> Composition:
@@ -226,7 +221,3 @@ def _gaps(recipe: Recipe, carrier: Carrier) -> list[tuple[float, float]]:
         begin = random.uniform(start_s + 0.05, end_s - 0.05 - lasts)
         gaps.append((float(begin), float(begin + lasts)))
     return gaps
-
-
-def _by_time(item: tuple[int, int, str, Message]) -> tuple[int, int]:
-    return item[:2]

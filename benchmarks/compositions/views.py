@@ -8,14 +8,13 @@ from trigpoint.base.clock import to_ns
 from trigpoint.contract.messages import FaceSighting
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import exp
-from trigpoint.site.target import Pattern, Target
-from trigpoint.tools.simulation.sight.seen_corners import SeenFace, may_be_seen, seen_faces_each
+from trigpoint.site.target import Target
+from trigpoint.tools.simulation.sight.seen_corners import SeenFace, seen_faces_each, told_name
 
 from .recipe import Recipe
 from .ride import Ride
 from .room import Camera
 
-_FEWEST_CORNERS = 6
 _WILD_PX = 60.0
 _LEAST_DISPLACED_PX, _MOST_DISPLACED_PX = 8.0, 40.0
 # How fast a floor's slope changes from place to place.
@@ -59,19 +58,11 @@ class Picture:
     faces: tuple[Labelled, ...]
 
 
-def is_found(recipe: Recipe, seen: SeenFace) -> bool:
-    """Whether a detector would find the face: a checkerboard only as a whole."""
-    face = seen.face
-    is_whole = face.pattern is Pattern.CHECKERBOARD
-    needed = face.corner_count if is_whole else min(_FEWEST_CORNERS, face.corner_count)
-    return len(seen.corners) >= needed and seen.smallest_square_px >= recipe.smallest_square_px
-
-
 def faces_in_sight(recipe: Recipe, target: Target, base: np.ndarray, camera: Camera) -> list[int]:
     """Ids of the faces that a camera finds of a robot at (3,) x, y, heading."""
     poses = Pose.stack([Pose.planar(*base)])
     [seen] = seen_faces_each(target, poses, camera.map_from_camera, camera.model, ())
-    return [shown.face.id for shown in seen if is_found(recipe, shown)]
+    return [shown.face.id for shown in seen if shown.is_found(recipe.smallest_square_px)]
 
 
 def pictures_of(
@@ -80,55 +71,33 @@ def pictures_of(
     """The pictures of a camera at true times (n,) in which something is found."""
     bases = [_as_it_stands(recipe, carrier, times_s) for carrier in carriers]
     seen: list[list[tuple[Carrier, SeenFace]]] = [[] for _ in times_s]
-    for part, pose in _between_moves(camera, times_s):
-        for carrier, base in zip(carriers, bases, strict=True):
-            others = [
-                (other.carried, there)
-                for other, there in zip(carriers, bases, strict=True)
-                if other is not carrier
-            ]
-            for row, shown in _seen(carrier.carried, base, camera, pose, part, others):
-                seen[row].append((carrier, shown))
-    pictures = []
-    for t_s, faces in zip(times_s.tolist(), seen, strict=True):
-        random = recipe.random("picture", camera.name, round(t_s * 1000))
-        found = [
-            _labelled(recipe, shown, carrier, carriers, random)
-            for carrier, shown in faces
-            if is_found(recipe, shown)
-        ]
-        if found:
-            pictures.append(Picture(camera.name, t_s, tuple(found)))
-    return pictures
+    hung = np.searchsorted([move.at_s for move in camera.moves], times_s, "right")
+    for place in np.unique(hung):
+        rows = np.flatnonzero(hung == place)
+        pose = camera.pose_at(float(times_s[rows[0]]))
+        there = [(carrier, base[rows]) for carrier, base in zip(carriers, bases, strict=True)]
+        for carrier, base in there:
+            others = tuple((other.carried, at) for other, at in there if other is not carrier)
+            each = seen_faces_each(carrier.carried, base, pose, camera.model, (), others)
+            for row, faces in zip(rows.tolist(), each, strict=True):
+                found = (face for face in faces if face.is_found(recipe.smallest_square_px))
+                seen[row] += [(carrier, face) for face in found]
+    return [
+        Picture(camera.name, t_s, _labelled_all(recipe, camera, t_s, faces, carriers))
+        for t_s, faces in zip(times_s.tolist(), seen, strict=True)
+        if faces
+    ]
 
 
-def _between_moves(camera: Camera, times_s: np.ndarray) -> list[tuple[np.ndarray, Pose]]:
-    """(rows of the times, map_from_camera then) for each place at which a camera hung."""
-    starts_s = [-np.inf, *(move.at_s for move in camera.moves)]
-    ends_s = [*starts_s[1:], np.inf]
-    parts = []
-    for start_s, end_s in zip(starts_s, ends_s, strict=True):
-        rows = np.flatnonzero((times_s >= start_s) & (times_s < end_s))
-        if len(rows):
-            parts.append((rows, camera.pose_at(float(times_s[rows[0]]))))
-    return parts
-
-
-def _seen(
-    target: Target,
-    base: Pose,
+def _labelled_all(
+    recipe: Recipe,
     camera: Camera,
-    map_from_camera: Pose,
-    rows: np.ndarray,
-    others: list[tuple[Target, Pose]],
-) -> list[tuple[int, SeenFace]]:
-    """(row, face) of all that may be seen of a target in some rows of its poses."""
-    near = rows[may_be_seen(target, base[rows], map_from_camera, camera.model)]
-    if not len(near):
-        return []
-    beside = tuple((other, poses[near]) for other, poses in others)
-    each = seen_faces_each(target, base[near], map_from_camera, camera.model, (), beside)
-    return [(row, face) for row, faces in zip(near.tolist(), each, strict=True) for face in faces]
+    t_s: float,
+    faces: list[tuple[Carrier, SeenFace]],
+    carriers: list[Carrier],
+) -> tuple[Labelled, ...]:
+    random = recipe.random("picture", camera.name, round(t_s * 1000))
+    return tuple(_labelled(recipe, face, carrier, carriers, random) for carrier, face in faces)
 
 
 def _as_it_stands(recipe: Recipe, carrier: Carrier, times_s: np.ndarray) -> Pose:
@@ -166,8 +135,7 @@ def _labelled(
     random: np.random.Generator,
 ) -> Labelled:
     """The sighting of a face with its noise and what goes wrong with it."""
-    face, count = seen.face, len(seen.corners)
-    told = carrier.told.face(face.id)
+    count, told = len(seen.corners), carrier.told.face(seen.face.id)
     pixels = seen.pixels + recipe.sigma_px / recipe.stated * _noise(recipe, count, random)
     chances, angle = random.random(3), random.uniform(0, 2 * np.pi)
     size_px = _displacement(recipe, random)
@@ -179,21 +147,16 @@ def _labelled(
     is_turned = bool(told.reads_from_both_ends and chances[1] < 0.5)
     if is_turned:
         pixels = pixels[::-1]
-    number = face.id if len(carrier.told.look_alikes(told.appearance)) == 1 else -1
-    others = [other.id for other in carrier.told.faces if other.corner_count == told.corner_count]
-    may_be_misnamed = number >= 0 and len(others) > 1
+    name = told_name(carrier.told, (other.told for other in carriers if other is not carrier))
+    sighting = seen.sighting(carrier.told, name, pixels, recipe.sigma_px)
+    same_size = (face.id for face in carrier.told.faces if face.corner_count == told.corner_count)
+    others = [number for number in same_size if number != told.id]
+    may_be_misnamed = sighting.face >= 0 and others
     is_misnamed = bool(may_be_misnamed and chances[2] < recipe.misnamed_share)
     if is_misnamed:
-        number = int(random.choice([other for other in others if other != number]))
-    sighting = FaceSighting(
-        _name(carrier, carriers),
-        number,
-        seen.corners,
-        pixels.astype(np.float32),
-        recipe.sigma_px,
-    )
+        sighting = replace(sighting, face=int(random.choice(others)))
     return Labelled(
-        sighting, carrier.name, face.id, is_turned, is_displaced, is_misnamed, int(wild.sum())
+        sighting, carrier.name, told.id, is_turned, is_displaced, is_misnamed, int(wild.sum())
     )
 
 
@@ -208,14 +171,6 @@ def _displacement(recipe: Recipe, random: np.random.Generator) -> float:
     low, high = np.log([_LEAST_DISPLACED_PX, _MOST_DISPLACED_PX])
     drawn = float(np.exp(random.uniform(low, high)))
     return drawn if recipe.displaced_px is None else recipe.displaced_px
-
-
-def _name(carrier: Carrier, carriers: list[Carrier]) -> str:
-    """The target's name, or "" where several robots carry the same pattern."""
-    own = {face.appearance for face in carrier.told.faces}
-    beside = (other.told.faces for other in carriers if other is not carrier)
-    is_shared = any(face.appearance in own for faces in beside for face in faces)
-    return "" if is_shared else carrier.told.name
 
 
 def shifted(picture: Picture, offset_s: float) -> int:

@@ -8,7 +8,7 @@ _SOURCE = Path(__file__).with_name("set_clock.c")
 
 
 class SettableClock:
-    """Whoever runs with its `environment` has this machine's time, and what `set_by` adds."""
+    """Whoever runs behind its words `preloaded` has this machine's time, and what `set_by` adds."""
 
     def __init__(self, folder: Path) -> None:
         self._offset, self._library = folder / "clock_offset", folder / "set_clock.so"
@@ -23,5 +23,6 @@ class SettableClock:
             file.write(round(seconds * 1e9).to_bytes(8, "little", signed=True))
 
     @property
-    def environment(self) -> dict[str, str]:
-        return {"LD_PRELOAD": str(self._library), "SOAK_CLOCK": str(self._offset)}
+    def preloaded(self) -> tuple[str, ...]:
+        """Before a command."""
+        return ("env", f"LD_PRELOAD={self._library}", f"SOAK_CLOCK={self._offset}")

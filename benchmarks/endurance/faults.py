@@ -9,34 +9,22 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 from benchmarks.network.impairment import Impairment
 from benchmarks.network.segments import Segments
+from trigpoint.tools.parts.supervisor import Part
 
 from .clock import SettableClock
 
 FAIR = Impairment(delay_s=0.002, bits_per_s=100e6)
 _BAD = Impairment(delay_s=0.05, loss=0.05, bits_per_s=20e6)
-_BREAK_S = 3.0
+_BREAK_S, _STOP_S = 3.0, 10.0
 _BAD_S = 8.0
 _FLAPS = 3
 # Below the ten seconds after which a clock that was set is believed.
 _CLOCK_S = 5.0
 RECORDING = "recording"
 """The key by which one sees that the recording grows; it is none of the bus."""
-
-
-class Breakable(Protocol):
-    """A program of the run."""
-
-    process: "subprocess.Popen[bytes]"
-
-    def kill(self) -> None: ...
-
-    def stop(self) -> None: ...
-
-    def start_again(self) -> None: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +42,7 @@ class Faults:
 
     def __init__(
         self,
-        programs: dict[str, Breakable],
+        programs: dict[str, Part],
         segments: Segments,
         clock: SettableClock,
         disk: Path,
@@ -85,22 +73,26 @@ class Faults:
         ]
 
     def _kill(self, name: str) -> None:
-        self._programs[name].kill()
+        part = self._programs[name]
+        part.send(signal.SIGKILL)
+        part.wait(time.monotonic() + _STOP_S)
         time.sleep(_BREAK_S)
-        self._programs[name].start_again()
+        part.start()
 
     def _roll(self) -> None:
         """As a rolling update does: each program is stopped in order and begun anew."""
-        for program in self._programs.values():
-            program.stop()
-            program.start_again()
+        for part in self._programs.values():
+            part.send(signal.SIGTERM)
+            if not part.wait(time.monotonic() + _STOP_S):
+                part.send(signal.SIGKILL)
+                part.wait(time.monotonic() + _STOP_S)
+            part.start()
             time.sleep(_BREAK_S)
 
     def _freeze(self, name: str) -> None:
-        process = self._programs[name].process
-        process.send_signal(signal.SIGSTOP)
+        self._programs[name].send(signal.SIGSTOP)
         time.sleep(_BREAK_S)
-        process.send_signal(signal.SIGCONT)
+        self._programs[name].send(signal.SIGCONT)
 
     def _cut(self, name: str) -> None:
         self._links[name].is_up = False

@@ -14,25 +14,25 @@ lives long enough for its memory to say something.
 
 import itertools
 import json
-import os
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from benchmarks.network.impairment import Namespace
 from benchmarks.network.segments import PORT, Segments, certify
-from benchmarks.timing import resident_mb
+from benchmarks.timing import family, resident_mb
 from trigpoint.contract.access import Kind
 from trigpoint.site.config import BusConfig, TlsConfig
-from trigpoint.tools.parts.specs import agent, bridge, firmware, trigpoint
+from trigpoint.tools.parts.output import LogFile
+from trigpoint.tools.parts.specs import FUSION, RECORDER, agent, bridge, firmware, trigpoint
+from trigpoint.tools.parts.supervisor import Part, PartSpec, Supervisor
 from trigpoint.tools.simulation.site_files import robot_port, write_site
 from trigpoint.tools.simulation.world import World, load_world
 
@@ -80,64 +80,15 @@ class Record:
     heard: list[dict] = field(default_factory=list)
 
 
-class Program:
-    """One program in its namespace; started again when it was killed."""
-
-    def __init__(
-        self,
-        name: str,
-        space: Namespace,
-        command: Sequence[str],
-        log: Path,
-        environment: dict[str, str],
-    ) -> None:
-        self.name, self._command, self._log = name, space.command(*command), log
-        self._environment = {**os.environ, **environment}
-        self.process = self._start()
-
-    def _start(self) -> subprocess.Popen[bytes]:
-        with self._log.open("ab") as log:
-            return subprocess.Popen(
-                self._command,
-                stderr=log,
-                stdout=log,
-                stdin=subprocess.DEVNULL,
-                env=self._environment,
-            )
-
-    def kill(self) -> None:
-        self.process.kill()
-        self.process.wait()
-
-    def start_again(self) -> None:
-        self.process = self._start()
-
-    def stop(self) -> None:
-        self.process.terminate()
-        try:
-            self.process.wait(10)
-        except subprocess.TimeoutExpired:
-            self.kill()
-
-    def sample(self, t_s: float) -> Sample | None:
-        """Its helpers' memory counts as its own."""
-        processes = [self.process.pid, *_children(self.process.pid)]
-        try:
-            resident = sum(resident_mb(process) for process in processes)
-            own = Path(f"/proc/{self.process.pid}")
-            files = sum(1 for _ in (own / "fd").iterdir())
-            threads = sum(1 for _ in (own / "task").iterdir())
-        except OSError:  # it is just being killed
-            return None
-        return Sample(t_s, self.name, self.process.pid, resident, files, threads)
-
-
-def _children(process: int) -> list[int]:
+def sample_of(name: str, part: Part, t_s: float) -> Sample | None:
+    """A program as it is; its helpers' memory counts as its own. None where it is being killed."""
+    own = Path(f"/proc/{part.number}")
     try:
-        text = Path(f"/proc/{process}/task/{process}/children").read_text()
+        resident = sum(map(resident_mb, family(part.number)))
+        files, threads = (len(list((own / what).iterdir())) for what in ("fd", "task"))
     except OSError:
-        return []
-    return [int(word) for word in text.split()]
+        return None
+    return Sample(t_s, name, part.number, resident, files, threads)
 
 
 class Soak:
@@ -152,8 +103,8 @@ class Soak:
         self._write_sites(load_world("lab", seed=1))
         self._disk = self._small_disk()
         self._clock = SettableClock(folder)
-        self.programs = self._programs()
-        self._faults = Faults(dict(self.programs), self._segments, self._clock, self._disk).each()
+        self.programs = self._started()
+        self._faults = Faults(self.programs, self._segments, self._clock, self._disk).each()
         self._watch = self._start_watch()
 
     @property
@@ -186,30 +137,31 @@ class Soak:
             path = write_site(world, self.folder, epoch_ns=self.epoch_ns, bus=bus)
             path.rename(self.folder / f"{name}.toml")
 
-    def _programs(self) -> dict[str, Program]:
+    def _started(self) -> dict[str, Part]:
         def site(name: str) -> str:
             return str(self.folder / f"{name}.toml")
 
         out = ("--out", str(self.folder / "session"))
         link, journal = self.folder / robot_port("r1"), self.folder / "r1.jsonl"
         of_world = {"world": "lab", "seed": 1, "target": "charuco", "log": journal}
-        simulated = firmware("r1", epoch_ns=self.epoch_ns, link=link, **of_world)
-        commands = {
-            "router": ("server", trigpoint("router", "--site", site("router"), "--name", "hall")),
-            "fusion": ("server", trigpoint("fusion", "--site", site("server"), *out)),
-            "recorder": ("server", trigpoint("record", "--site", site("server"), *out)),
-            "firmware": ("robot", simulated.command),
-            "edge": ("cameras", agent(_CAMERAS, site("cameras")).command),
-            "robot": ("robot", bridge("r1", site("robot")).command),
+        router = trigpoint("router", "--site", site("router"), "--name", "hall")
+        fusion = trigpoint("fusion", "--site", site("server"), *out)
+        recorder = trigpoint("record", "--site", site("server"), *out)
+        specs = {
+            "router": ("server", PartSpec("router", router, FUSION + 1)),
+            "fusion": ("server", PartSpec("fusion", fusion, FUSION)),
+            "recorder": ("server", PartSpec("recorder", recorder, RECORDER)),
+            "firmware": ("robot", firmware("r1", epoch_ns=self.epoch_ns, link=link, **of_world)),
+            "edge": ("cameras", agent(_CAMERAS, site("cameras"))),
+            "robot": ("robot", bridge("r1", site("robot"))),
         }
         spaces = {"server": self._segments.router, **self._segments.spaces}
-        found = {}
-        for name, (space, command) in commands.items():
-            log, clock = self.folder / f"{name}.log", self._clock.environment
-            environment = clock if name == "edge" else {}
-            found[name] = Program(name, spaces[space], command, log, environment)
-            self._stack.callback(lambda name=name: self.programs[name].stop())
-        return found
+        inside = []
+        for name, (space, spec) in specs.items():
+            words = (*(self._clock.preloaded if name == "edge" else ()), *spec.command)
+            inside.append(replace(spec, command=tuple(spaces[space].command(*words))))
+        parts = Supervisor(inside, lambda name: LogFile.of(name, self.folder), say=print)
+        return dict(zip(specs, self._stack.enter_context(parts).parts, strict=True))
 
     def _start_watch(self) -> "subprocess.Popen[str]":
         words = self._segments.router.command(
@@ -266,7 +218,7 @@ class Soak:
 
     def _sample(self, stopping: threading.Event) -> None:
         while not stopping.wait(_SAMPLE_S):
-            found = [program.sample(self.now_s) for program in self.programs.values()]
+            found = [sample_of(*item, self.now_s) for item in self.programs.items()]
             self.record.samples += [sample for sample in found if sample is not None]
 
     def _wait_until_up(self) -> None:

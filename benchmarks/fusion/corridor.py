@@ -15,9 +15,10 @@ from trigpoint.contract.messages import CameraInfo, FaceSighting, Odometry, Sigh
 from trigpoint.fusion.inbox import Input
 from trigpoint.fusion.pipeline import Inputs
 from trigpoint.geometry import CameraModel, Pose
-from trigpoint.site.config import parse_site
+from trigpoint.site.config import OdometryNoise, parse_site
 from trigpoint.site.target import Target
 from trigpoint.testing.views import looking_at
+from trigpoint.tools.simulation.motion.odometry import chained, increments, reported
 from trigpoint.tools.simulation.sight.seen_corners import seen_faces
 from trigpoint.tools.simulation.sight.targets import target_of
 
@@ -28,6 +29,7 @@ PICTURES_HZ = 5.0
 _SPACING_M = 3.5
 _SEES_M = 3.2
 _SIGMA_PX = 0.25
+_FEWEST_CORNERS = 8
 _SITE = 'site = "corridor"\n{cameras}\n{robots}\n'
 _ROBOT = '[robots.{0}]\nport = "sim"\ntarget = "{0}.toml"\n'
 _CAMERA = '[cameras.c{}]\nsource = "sim://c{}"\nwidth = 640\nheight = 480\nrate = 5.0\n'
@@ -89,14 +91,12 @@ class Corridor:
             name = f"c{index}"
             yield name, CameraInfo(EPOCH_NS, f"{name}/optical", lens)
         every = round(self.odometry_hz / self.pictures_hz)
-        reported = dict.fromkeys(targets, np.zeros(3))
         driven = round(self.duration_s * self.odometry_hz)
+        told = {name: self._reported(driven, random) for name in targets}
         for step in range(driven + round(self.stands_s * self.odometry_hz)):
             stamp_ns = EPOCH_NS + round(step * 1e9 / self.odometry_hz)
-            for name in targets:
-                if step < driven:
-                    reported[name] = self._reported(reported[name], step, random)
-                pose, still = Pose.planar(*reported[name]), np.zeros(3)
+            for name, poses in told.items():
+                pose, still = poses[min(step, driven - 1)], np.zeros(3)
                 yield name, Odometry(stamp_ns, f"{name}/odom", f"{name}/base", pose, still, still)
             if step % every == 0:
                 seconds = min(step, driven) / self.odometry_hz
@@ -120,28 +120,16 @@ class Corridor:
             if faces or self.is_empty_told:
                 yield index, faces
 
-    def _robot(self, seconds: float, number: int) -> Pose:
+    def _robot(self, seconds: float | np.ndarray, number: int) -> Pose:
         """map_from_base: anticlockwise from the origin along x; the others ahead of the first."""
         turn = SPEED * seconds / self.radius_m + 2 * np.pi * number / self.robots
         return Pose.planar(self.radius_m * np.sin(turn), self.radius_m * (1 - np.cos(turn)), turn)
 
-    def _reported(self, before: np.ndarray, step: int, random: np.random.Generator) -> np.ndarray:
-        """Odometry: the true increment and the contract's default noise."""
-        if step == 0:
-            return before
-        length = SPEED / self.odometry_hz
-        turn = length / self.radius_m
-        along, across, heading = random.normal(size=3) * np.sqrt(length) * (0.006, 0.002, 0.004)
-        x, y, direction = before
-        middle = direction + turn / 2
-        forward, left = length + along, across
-        return np.array(
-            [
-                x + np.cos(middle) * forward - np.sin(middle) * left,
-                y + np.sin(middle) * forward + np.cos(middle) * left,
-                direction + turn + heading,
-            ]
-        )
+    def _reported(self, count: int, random: np.random.Generator) -> Pose:
+        """What a robot's odometry says of its way round, with the contract's default noise."""
+        truth = self._robot(np.arange(count) / self.odometry_hz, 0)
+        noisy = reported(increments(truth), OdometryNoise(), np.zeros(2), random)
+        return chained(Pose.identity(), noisy)
 
     def _camera(self, index: int) -> Pose:
         """map_from_camera: above the outer edge, looking along the corridor and down."""
@@ -171,10 +159,9 @@ def _sighted(
 ) -> tuple[FaceSighting, ...]:
     if np.linalg.norm(robot.translation - map_from_camera.translation) > _SEES_M:
         return ()
-    found = []
-    for seen in seen_faces(target, robot, map_from_camera, lens, ()):
-        if len(seen.corners) >= 8:
-            pixels = seen.pixels + random.normal(scale=_SIGMA_PX, size=seen.pixels.shape)
-            corners = seen.corners.astype(np.uint16)
-            found.append(FaceSighting(target.name, seen.face.id, corners, pixels, _SIGMA_PX))
-    return tuple(found)
+    return tuple(
+        seen.sighting(target, target.name, pixels, _SIGMA_PX)
+        for seen in seen_faces(target, robot, map_from_camera, lens, ())
+        if len(seen.corners) >= _FEWEST_CORNERS
+        for pixels in [seen.pixels + random.normal(scale=_SIGMA_PX, size=seen.pixels.shape)]
+    )

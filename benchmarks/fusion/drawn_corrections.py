@@ -31,9 +31,8 @@ from trigpoint.fusion.solver.gaussian import Gaussian
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.uncertainty import planar_covariance
-from trigpoint.site.target import Pattern, Target
-from trigpoint.tools.simulation.sight.seen_corners import SeenFace, seen_faces_each
-from trigpoint.tools.simulation.world import FEWEST_CORNERS
+from trigpoint.site.target import Target
+from trigpoint.tools.simulation.sight.seen_corners import seen_faces_each
 
 SMALLEST_SQUARE_PX = 7.0  # of a world file
 _ROUGHLY = np.array([0.1, 0.1, 0.05])  # what odometry knows beforehand, m and rad
@@ -123,23 +122,16 @@ def sightings(
         seen_from_there = eye.map_from_camera @ (true_poses.inverse() @ map_from_base)
         each = seen_faces_each(target, seen_from_there, eye.map_from_camera, eye.lens, ())
         for row, faces in enumerate(each):
-            shown = tuple(_sighted(target, f, sigma_px, random) for f in faces if _is_found(f))
+            shown = tuple(
+                seen.sighting(
+                    target,
+                    "",
+                    seen.pixels + random.normal(0.0, sigma_px, seen.pixels.shape),
+                    sigma_px,
+                )
+                for seen in faces
+                if seen.is_found(SMALLEST_SQUARE_PX)
+            )
             if shown:
                 found[row][eye.name] = shown
     return found
-
-
-def _is_found(seen: SeenFace) -> bool:
-    """The rule of the simulated lab (`World.shown`)."""
-    face = seen.face
-    is_whole = face.pattern is Pattern.CHECKERBOARD
-    needed = face.corner_count if is_whole else min(FEWEST_CORNERS, face.corner_count)
-    return len(seen.corners) >= needed and seen.smallest_square_px >= SMALLEST_SQUARE_PX
-
-
-def _sighted(
-    target: Target, seen: SeenFace, sigma_px: float, random: np.random.Generator
-) -> FaceSighting:
-    pixels = seen.pixels + random.normal(0.0, sigma_px, seen.pixels.shape)
-    number = seen.face.id if len(target.look_alikes(seen.face.appearance)) == 1 else -1
-    return FaceSighting("", number, seen.corners, pixels.astype(np.float32), sigma_px)

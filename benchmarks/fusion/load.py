@@ -225,39 +225,31 @@ class _Drive:
 
     def _rows(self, what: str, passed_s: float) -> Iterator[Row]:
         span, memory = self._span, [*self._span.memory, self._memory_mb()]
+        updates_ms = span.updates_ms or [np.nan]
+        seen_1s, full_1s = span.sightings / passed_s, span.sightings / span.spent_s
         solver = (worked_s(self._solver.pid) - self._solver_s) / passed_s
-
-        def row(text: str, unit: str, ours: float, other: float, against: str) -> Row:
-            return Row("load", f"{what}: {text}", unit, ours, other, against)
-
-        goal = "the goal of 99 % at 100 cameras"
-        middle, most = np.percentile(span.updates_ms or [np.nan], [50, 99]).tolist()
-        yield row("an update, 50 %", "ms", middle, 20.0, goal)
-        yield row("an update, 99 %", "ms", most, 20.0, goal)
-        yield row(
-            f"longest of {len(span.updates_ms)}",
-            "ms",
-            max(span.updates_ms, default=np.nan),
-            20.0,
-            goal,
-        )
-        yield row("messages", "1/s", span.messages / passed_s, span.sightings / passed_s, "seen")
-        yield row("the thread", "cores", span.spent_s / passed_s, 1.0, "one core")
-        yield row("the solver", "cores", solver, 1.0, "one core")
-        full = span.sightings / span.spent_s
-        yield row("sightings that fill the thread", "1/s", full, span.sightings / passed_s, "seen")
-        for who, series in zip(("estimator", "solver"), zip(*memory, strict=True), strict=True):
-            yield row(f"resident, {who}", "MB", series[-1], series[0], "at the begin")
-        yield row(
-            "checkpoint, added", "MB", self._stored_mb() - self._stored, passed_s / 60, "minutes"
-        )
-        yield row("pictures kept", "pictures", span.kept, span.pictures, "all that came")
-        cameras = self._load.corridor.cameras
-        yield row("located", "cameras", self._pipeline.located_count, cameras, "all")
-        if span.late_s:
-            middle, most = (1e3 * np.percentile(span.late_s, [50, 99])).tolist()
-            yield row("done after due, 50 %", "ms", middle, 20.0, "a turn")
-            yield row("done after due, 99 %", "ms", most, 20.0, "a turn")
+        stored_mb, minutes = self._stored_mb() - self._stored, passed_s / 60
+        located, cameras = self._pipeline.located_count, self._load.corridor.cameras
+        goal = (20.0, "the goal of 99 % at 100 cameras")
+        told = [
+            ("an update, 50 %", "ms", np.percentile(updates_ms, 50), *goal),
+            ("an update, 99 %", "ms", np.percentile(updates_ms, 99), *goal),
+            (f"longest of {len(span.updates_ms)}", "ms", max(updates_ms), *goal),
+            ("messages", "1/s", span.messages / passed_s, seen_1s, "seen"),
+            ("the thread", "cores", span.spent_s / passed_s, 1.0, "one core"),
+            ("the solver", "cores", solver, 1.0, "one core"),
+            ("sightings that fill the thread", "1/s", full_1s, seen_1s, "seen"),
+            ("resident, estimator", "MB", memory[-1][0], memory[0][0], "at the begin"),
+            ("resident, solver", "MB", memory[-1][1], memory[0][1], "at the begin"),
+            ("checkpoint, added", "MB", stored_mb, minutes, "minutes"),
+            ("pictures kept", "pictures", span.kept, span.pictures, "all that came"),
+            ("located", "cameras", located, cameras, "all"),
+        ]
+        for share in (50, 99) if span.late_s else ():
+            late_ms = 1e3 * np.percentile(span.late_s, share)
+            told.append((f"done after due, {share} %", "ms", late_ms, 20.0, "a turn"))
+        for text, unit, ours, other, against in told:
+            yield Row("load", f"{what}: {text}", unit, float(ours), float(other), against)
 
     def _memory_mb(self) -> tuple[float, float]:
         return resident_mb("self"), resident_mb(self._solver.pid)

@@ -40,7 +40,8 @@ def problem(rng: np.random.Generator) -> list[object]:
         np.arange(12, 25),
         rng.uniform(0.1, 1.0, (13, 2)),
         *(_poses(rng, 3, faces), rng.uniform(1e-6, 1e-2, (3, 6))),
-        *(np.array([1]), cameras[1:], 1e4 * np.eye(6)),
+        *(np.array([1, 2]), np.vstack([cameras[1:], _poses(rng, 1, faces[:1])])),  # c1, a face
+        *(np.array([12, 21, 23]), 0.1 * rng.normal(size=3), 1e4 * np.eye(15)),
         *(_COLUMNS, 1e13, float(rng.choice([3.0, np.inf])), 1e-3, 12, np.empty(4)),
     ]
 

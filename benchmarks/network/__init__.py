@@ -1,1 +1,1 @@
-"""The bus: its latency, its messages, bad networks and secured routers."""
+"""The bus: its latency, its messages, bad networks; and the web page."""

@@ -23,7 +23,8 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated
@@ -34,6 +35,7 @@ import typer
 from trigpoint.contract.access import Kind
 
 from .impairment import Impairment
+from .node import Row
 from .segments import PORT, Segments, certify
 
 _SETTLE_S = 1.0
@@ -57,12 +59,17 @@ port = "loop://"
 
 @dataclass(frozen=True, slots=True)
 class Key:
-    """What came of one key's messages. Latencies: from put to the subscriber's queue, seconds."""
+    """What came of one key's messages. `rows`: number, when it was put and when it came, ns of the
+    monotonic clock; `counted`: how many its subscriber was told to be lost."""
 
     sent: int
-    numbers: list[int]
-    latencies_s: list[float]
+    rows: list[Row]
     counted: int
+
+    @property
+    def numbers(self) -> list[int]:
+        """In the order in which they came."""
+        return [number for number, _, _ in self.rows]
 
     @property
     def lost(self) -> int:
@@ -71,7 +78,7 @@ class Key:
 
     @property
     def twice(self) -> int:
-        return len(self.numbers) - len(set(self.numbers))
+        return len(self.rows) - len(set(self.numbers))
 
     @property
     def uncounted(self) -> int:
@@ -84,18 +91,19 @@ class Key:
         return max(self.numbers, default=-1)
 
     def quantile_s(self, share: float) -> float:
-        return float(np.quantile(self.latencies_s, share)) if self.latencies_s else float("nan")
+        """Of the latencies from put to the subscriber's queue."""
+        if not self.rows:
+            return float("nan")
+        return float(np.quantile([came - put for _, put, came in self.rows], share)) / 1e9
 
     def longest_gap_s(self) -> float:
         """The longest time in which nothing came."""
-        return float(np.max(np.diff(self._arrivals_s))) if len(self._arrivals_s) > 1 else 0.0
+        return max((b - a for (*_, a), (*_, b) in pairwise(self.rows)), default=0) / 1e9
 
     def back_s(self, mended_s: float) -> float:
         """From when something was mended (monotonic clock) to the next message; inf: never."""
-        later = [came_s for came_s in self._arrivals_s if came_s > mended_s]
+        later = (came / 1e9 for *_, came in self.rows if came / 1e9 > mended_s)
         return min(later, default=float("inf")) - mended_s
-
-    _arrivals_s: list[float] = field(default_factory=list)
 
 
 class Site:
@@ -216,17 +224,11 @@ def _say(node: "subprocess.Popen[str]", text: str) -> None:
 
 
 def _keys(sent: dict[str, int], answers: list[dict[str, dict]]) -> dict[str, Key]:
-    found = {}
-    for answer in answers:
-        for name, rows in answer["came"].items():
-            found[name] = Key(
-                sent=sent.get(name, 0),
-                numbers=[number for number, _, _ in rows],
-                latencies_s=[(came - put) / 1e9 for _, put, came in rows],
-                counted=answer["missed"][name],
-                _arrivals_s=[came / 1e9 for _, _, came in rows],
-            )
-    return found
+    return {
+        name: Key(sent.get(name, 0), rows, answer["missed"][name])
+        for answer in answers
+        for name, rows in answer["came"].items()
+    }
 
 
 def killing(after_s: float, dead_s: float) -> Callable[[Site], None]:
@@ -255,12 +257,7 @@ def flapping(times: int, period_s: float = 3.0) -> Callable[[Site], None]:
 
 def coming_late(after_s: float) -> Callable[[Site], None]:
     """An action: the router is switched on after the others."""
-
-    def act(site: Site) -> None:
-        time.sleep(after_s)
-        site.start_router()
-
-    return act
+    return killing(after_s, 0.0)
 
 
 def line(name: str, key: Key) -> str:

@@ -1,4 +1,4 @@
-"""From put in one process to another's callback, and to whoever takes it there.
+"""From put in one process to whoever takes it in another.
 
 Our callback only appends to a queue, from which a thread takes; so does, for comparison, a bare one
 with Python's own queue. A second process sends on both by turns, on loopback; the
@@ -9,6 +9,7 @@ import json
 import queue
 import socket
 import time
+from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
@@ -50,85 +51,57 @@ def run(effort: float = 1.0) -> list[Row]:
 
 
 def _rows(load: Load) -> list[Row]:
-    delays = delays_ms(load)
+    what, against = f"put to taken, {load.what}", "zenoh's callback and a queue"
+    ours, bare = (np.percentile(each, [50, 99]).tolist() for each in delays_ms(load))
     return [
-        Row(
-            "bus",
-            f"put to {what}, {load.what}, p{percent}",
-            "ms",
-            float(np.percentile(ours, percent)),
-            float(np.percentile(bare, percent)),
-            against,
-        )
-        for what, ours, bare, against in (
-            ("callback", delays.called, delays.bare_called, "zenoh's callback"),
-            ("taken", delays.taken, delays.bare_taken, "zenoh's callback and a queue"),
-        )
-        for percent in (50, 99)
+        Row("bus", f"{what}, p50", "ms", ours[0], bare[0], against),
+        Row("bus", f"{what}, p99", "ms", ours[1], bare[1], against),
     ]
 
 
-@dataclass(frozen=True, slots=True)
-class Delays:
-    """Milliseconds from put to callback, and to whoever takes it, of each message."""
-
-    called: list[float]
-    taken: list[float]
-    bare_called: list[float]
-    bare_taken: list[float]
-
-
-def delays_ms(load: Load) -> Delays:
-    """Through ours and through bare Zenoh, warming up left out."""
+def delays_ms(load: Load) -> tuple[list[float], list[float]]:
+    """Milliseconds from put to whoever takes it, of each message after the first ones: through ours
+    and through bare Zenoh."""
     endpoints = _free_endpoint(), _free_endpoint()
-    called, waiting = list[float](), queue.SimpleQueue[bytes]()
-
-    def receive(sample: zenoh.Sample) -> None:
-        payload = sample.payload.to_bytes()
-        called.append(_age_ms(payload))
-        waiting.put(payload)
-
+    waiting = queue.SimpleQueue[bytes]()
     with (
         ZenohBus(open_session(Settings("peer", listen=(endpoints[0],)))) as bus,
         _open_bare(listen=endpoints[1]) as session,
-        session.declare_subscriber(_BARE_KEY, receive),
+        session.declare_subscriber(_BARE_KEY, lambda s: waiting.put(s.payload.to_bytes())),
         ThreadPoolExecutor(2) as threads,
         ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool,
     ):
         subscription = bus.subscribe(load.topic, _OUR_KEY)
         sender = pool.submit(_send, load, *endpoints)
-        ours = threads.submit(_taken, subscription, sender)
-        bare = threads.submit(_bare_taken, waiting, sender)
-        ages, bare_ages = ours.result(), bare.result()
+        ours = threads.submit(_taken, lambda: _payload(subscription), sender)
+        bare = threads.submit(_taken, lambda: _waited(waiting), sender)
         sender.result()
-    our_called, our_taken = (list(each)[_WARM_UP:] for each in zip(*ages, strict=True))
-    return Delays(our_called, our_taken, called[_WARM_UP:], bare_ages[_WARM_UP:])
+        return ours.result()[_WARM_UP:], bare.result()[_WARM_UP:]
 
 
-def _taken(subscription: Subscription, sender: Future[None]) -> list[tuple[float, float]]:
-    """Take until the sender has ended and nothing comes any more: age at our callback, and now."""
-    ages_ms: list[tuple[float, float]] = []
+def _taken(take: Callable[[], bytes | None], sender: Future[None]) -> list[float]:
+    """The age of each message as it is taken, until the sender has ended and none comes any more;
+    `take` waits for a while."""
+    ages_ms: list[float] = []
     while True:
-        sample = subscription.take(_LAST_S)
-        if sample is not None:
-            age_ms, since_ms = _age_ms(sample.payload), (time.time_ns() - sample.received_ns) / 1e6
-            ages_ms.append((age_ms - since_ms, age_ms))
+        payload = take()
+        if payload is not None:
+            put_ns = int.from_bytes(payload[:_STAMP_BYTES], "little")
+            ages_ms.append((time.monotonic_ns() - put_ns) / 1e6)
         elif sender.done():
             return ages_ms
 
 
-def _bare_taken(waiting: "queue.SimpleQueue[bytes]", sender: Future[None]) -> list[float]:
-    ages_ms: list[float] = []
-    while True:
-        try:
-            ages_ms.append(_age_ms(waiting.get(timeout=_LAST_S)))
-        except queue.Empty:
-            if sender.done():
-                return ages_ms
+def _payload(subscription: Subscription) -> bytes | None:
+    sample = subscription.take(_LAST_S)
+    return None if sample is None else sample.payload
 
 
-def _age_ms(payload: bytes) -> float:
-    return (time.monotonic_ns() - int.from_bytes(payload[:_STAMP_BYTES], "little")) / 1e6
+def _waited(waiting: "queue.SimpleQueue[bytes]") -> bytes | None:
+    try:
+        return waiting.get(timeout=_LAST_S)
+    except queue.Empty:
+        return None
 
 
 def _send(load: Load, ours_at: str, bare_at: str) -> None:

@@ -6,6 +6,7 @@ Milliseconds a picture, faces found, corners against the projected truth.
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 
 import cv2
 import numpy as np
@@ -16,6 +17,7 @@ from trigpoint.contract.messages import FaceSighting
 from trigpoint.edge.detector import detector_for
 from trigpoint.edge.tracker import TargetTracker
 from trigpoint.site.target import Target
+from trigpoint.tools.simulation.sight.seen_corners import smallest_square
 
 from .nasty import nasty_pictures
 from .opencv_finders import (
@@ -27,9 +29,10 @@ from .opencv_finders import (
     checkerboards_in_even_light,
 )
 from .scoring import Found, Score, score_of
-from .views import Gallery, TrueFace, View, gallery
+from .views import Gallery, View, gallery
 
 OURS = "ours"
+_row = partial(Row, "detection")
 # Pictures with faces and without, by size; the larger cost OpenCV half a second each.
 _SIZES: dict[str, tuple[int, int] | None] = {"640 x 480": None, "1280 x 720": (1280, 720)}
 _WITH_FACES, _EMPTY = {"640 x 480": 12, "1280 x 720": 4}, 4
@@ -197,13 +200,8 @@ def _time_rows(what: str, done: Mapping[str, Run], others: Mapping[str, Finder])
 
 def _spacing(view: View) -> float:
     """The shortest distance of neighbouring corners of the largest face, pixels."""
-
-    def of(true: TrueFace) -> float:
-        grid = true.pixels.reshape(true.face.rows - 1, true.face.columns - 1, 2)
-        sides = [np.linalg.norm(np.diff(grid, axis=axis), axis=-1).min() for axis in (0, 1)]
-        return float(min(sides))
-
-    return max((of(true) for true in view.faces if true.is_whole), default=0.0)
+    whole = (smallest_square(true.face, true.pixels) for true in view.faces if true.is_whole)
+    return max(whole, default=0.0)
 
 
 def _score_rows(what: str, ours: Score, other: Score, name: str) -> list[Row]:
@@ -224,9 +222,3 @@ def _sigma_row(what: str, ours: Score) -> Row:
     """Neither more nor less is better than the same."""
     what = f"{what}, corner error in its sigmas"
     return _row(what, "1", ours.normalised_rms, 1.0, "a true sigma")
-
-
-def _row(
-    what: str, unit: str, ours: float, other: float, name: str, *, more_is_better: bool = False
-) -> Row:
-    return Row("detection", what, unit, ours, other, name, more_is_better)

@@ -6,7 +6,8 @@ from collections.abc import Iterator
 import cv2
 import numpy as np
 
-from trigpoint.site.target import Face, Pattern
+from trigpoint.site.target import Face
+from trigpoint.tools.simulation.drawing.textures import LEVELS, NOTHING, WHITE, texture
 
 WIDTH, HEIGHT = 640, 480
 _DARK, _LIGHT = 30, 220
@@ -75,21 +76,12 @@ def crowd_of_boards(face: Face, count: int) -> np.ndarray:
 
 
 def _board(face: Face, square: int) -> np.ndarray:
-    """The board with a light margin of a square, `square` pixels a square."""
-    if face.pattern is Pattern.CHARUCO:
-        dictionary = getattr(cv2.aruco, face.dictionary or "")
-        board = cv2.aruco.CharucoBoard(
-            (face.columns, face.rows),
-            face.square,
-            face.marker or 0.0,
-            cv2.aruco.getPredefinedDictionary(dictionary),
-            np.arange(face.first_marker, face.first_marker + face.marker_count, dtype=np.int32),
-        )
-        drawn = board.generateImage((face.columns * square, face.rows * square))
-    else:
-        light = np.indices((face.rows, face.columns)).sum(axis=0) % 2
-        drawn = np.kron(light.astype(np.uint8) * 255, np.ones((square, square), np.uint8))
-    return np.pad(drawn, square, constant_values=255)
+    """The board with a light margin of a square and more, `square` pixels a square."""
+    finest = LEVELS[0]
+    printed = texture(face, finest).texels[NOTHING:-NOTHING, NOTHING:-NOTHING, 0]
+    by = square / finest
+    drawn = cv2.resize(printed, None, fx=by, fy=by, interpolation=cv2.INTER_AREA)
+    return np.pad(drawn, square, constant_values=WHITE)
 
 
 def _turned(board: np.ndarray, degrees: float, room: np.ndarray) -> np.ndarray:

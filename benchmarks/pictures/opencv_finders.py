@@ -6,6 +6,8 @@ import cv2
 import numpy as np
 
 from trigpoint.site.target import Face
+from trigpoint.tools.simulation.drawing.textures import charuco_board
+from trigpoint.tools.simulation.sight.seen_corners import smallest_square
 
 from .scoring import Found
 
@@ -19,7 +21,7 @@ _WINDOW_SHARE = 0.4
 
 def charuco_each(faces: Sequence[Face]) -> Finder:
     """A CharucoDetector for every face's board; each searches the picture for markers."""
-    boards = [(face.id, cv2.aruco.CharucoDetector(_board(face))) for face in faces]
+    boards = [(face.id, cv2.aruco.CharucoDetector(charuco_board(face))) for face in faces]
 
     def find(picture: np.ndarray) -> list[Found]:
         answers = [(number, board.detectBoard(picture)) for number, board in boards]
@@ -30,8 +32,8 @@ def charuco_each(faces: Sequence[Face]) -> Finder:
 
 def charuco_shared(faces: Sequence[Face]) -> Finder:
     """One search for markers, whose result is handed to every face's CharucoDetector."""
-    markers = cv2.aruco.ArucoDetector(_dictionary(faces[0]))
-    boards = [(face, cv2.aruco.CharucoDetector(_board(face))) for face in faces]
+    markers = cv2.aruco.ArucoDetector(charuco_board(faces[0]).getDictionary())
+    boards = [(face, cv2.aruco.CharucoDetector(charuco_board(face))) for face in faces]
 
     def find(picture: np.ndarray) -> list[Found]:
         corners, ids, _ = markers.detectMarkers(picture)
@@ -90,7 +92,7 @@ def _classic(faces: Sequence[Face], flags: int) -> Finder:
             if not is_found:
                 break
             pixels = corners.reshape(-1, 2)
-            found.append(Found(-1, np.arange(len(pixels)), _refined(picture, pixels, size)))
+            found.append(Found(-1, np.arange(len(pixels)), _refined(picture, pixels, faces[0])))
             hull = cv2.convexHull(pixels.round().astype(np.int32))
             cv2.fillConvexPoly(left, hull, float(picture.mean()))
         return found
@@ -104,19 +106,7 @@ def _charuco_found(face: int, corners: np.ndarray | None, ids: np.ndarray | None
     return Found(face, np.asarray(ids).reshape(-1), np.asarray(corners).reshape(-1, 2))
 
 
-def _refined(picture: np.ndarray, pixels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    grid = pixels.reshape(size[1], size[0], 2)
-    sides = [np.linalg.norm(np.diff(grid, axis=axis), axis=-1).min() for axis in (0, 1)]
-    half = max(2, int(_WINDOW_SHARE * min(sides)))
+def _refined(picture: np.ndarray, pixels: np.ndarray, face: Face) -> np.ndarray:
+    half = max(2, int(_WINDOW_SHARE * smallest_square(face, pixels)))
     start = np.ascontiguousarray(pixels, np.float32).copy()
     return cv2.cornerSubPix(picture, start, (half, half), (-1, -1), _STOP).reshape(-1, 2)
-
-
-def _board(face: Face) -> cv2.aruco.CharucoBoard:
-    ids = np.arange(face.first_marker, face.first_marker + face.marker_count, dtype=np.int32)
-    size = (face.columns, face.rows)
-    return cv2.aruco.CharucoBoard(size, face.square, face.marker or 0.0, _dictionary(face), ids)
-
-
-def _dictionary(face: Face) -> cv2.aruco.Dictionary:
-    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, face.dictionary or ""))

@@ -6,7 +6,6 @@ from functools import cache
 
 import numpy as np
 
-from trigpoint.geometry import CameraModel
 from trigpoint.geometry.rotation import Array
 from trigpoint.site.target import Face, Target
 from trigpoint.tools.simulation.drawing.rendering import CameraRenderer
@@ -77,10 +76,6 @@ class Gallery:
     def without_faces(self, count: int) -> list[View]:
         """Views of the rooms in which no face shows its front."""
         return self._views([m for m in self._moments() if not self._seen(*m)], count)
-
-    def of_the_drive(self, count: int) -> list[View]:
-        """Views as they come: with faces, with some in part, and mostly without."""
-        return self._views(self._moments(), count)
 
     def render(self, camera: str, index: int) -> np.ndarray:
         """One picture."""
@@ -153,14 +148,7 @@ def _other(
         return replace(camera, exposure_s=exposure_s)
     old, (width, height) = camera.model, size
     by = width / old.width
-    centre = by * (np.array([old.cx - old.width / 2, old.cy - old.height / 2]))
-    model = CameraModel(
-        width,
-        height,
-        by * old.fx,
-        by * old.fy,
-        width / 2 + float(centre[0]),
-        height / 2 + float(centre[1]),
-        old.distortion,
-    )
+    cx, cy = width / 2 + by * (old.cx - old.width / 2), height / 2 + by * (old.cy - old.height / 2)
+    wide = {"width": width, "height": height, "fx": by * old.fx, "fy": by * old.fy}
+    model = replace(old, **wide, cx=cx, cy=cy)
     return replace(camera, model=model, exposure_s=exposure_s)

@@ -1,6 +1,8 @@
 """Our detectors against OpenCV's on pictures of boards as the world shows them (`world_views`), one
 thread each: faces found, corners found of those found, corners against the truth."""
 
+from functools import partial
+
 from benchmarks.table import Row, share_of
 
 from .detection import OURS, one_thread, opencv_finders, our_finder, runs
@@ -9,6 +11,7 @@ from .views import View
 from .world_views import FACES, KINDS, target_of, world_views
 
 _VIEWS = 24
+_row = partial(Row, "world")
 
 
 def run(effort: float = 1.0) -> list[Row]:
@@ -45,9 +48,3 @@ def _corner_share(views: list[View], answers: list[list[Found]]) -> float:
     """Of all corners of the faces, how many are found."""
     all_of_them = sum(true.face.corner_count for view in views for true in view.faces)
     return sum(len(found.corners) for answer in answers for found in answer) / all_of_them
-
-
-def _row(
-    what: str, unit: str, ours: float, other: float, name: str, *, more_is_better: bool = False
-) -> Row:
-    return Row("world", what, unit, ours, other, name, more_is_better)

@@ -12,6 +12,7 @@ import numpy as np
 from trigpoint.geometry.rotation import Array
 from trigpoint.site.target import Face, Pattern, Target
 from trigpoint.tools.simulation.drawing.textures import texture
+from trigpoint.tools.simulation.sight.seen_corners import smallest_square
 
 from .photographs import backgrounds
 from .views import LEAST_SQUARE_PX, TrueFace, View
@@ -152,9 +153,7 @@ def _unit(vector: Array) -> Array:
 def _is_whole(face: Face, pixels: Array, size: tuple[int, int]) -> bool:
     """Whether all corners are in the picture, with squares that are large enough."""
     inside = (pixels > _MARGIN_PX) & (pixels < np.array(size) - 1 - _MARGIN_PX)
-    grid = pixels.reshape(face.rows - 1, face.columns - 1, 2)
-    sides = [np.linalg.norm(np.diff(grid, axis=axis), axis=-1).min() for axis in (0, 1)]
-    return bool(inside.all()) and min(sides) >= LEAST_SQUARE_PX
+    return bool(inside.all()) and smallest_square(face, pixels) >= LEAST_SQUARE_PX
 
 
 def _behind(size: tuple[int, int], random: _Random) -> np.ndarray:

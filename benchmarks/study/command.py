@@ -14,7 +14,6 @@ from benchmarks.compositions.score import Score
 from benchmarks.compositions.session import composed_session
 from trigpoint.base.errors import TrigpointError
 
-from .dance import kept_equal_times
 from .measure import Measure
 from .report import line_of, write_report
 from .situations import SITUATIONS
@@ -86,7 +85,7 @@ def report(
     store, written = Store(folder), list[Path]()
     measures = {n: store.kept(n, Measure, of_any_sources=of_any_sources) for n in SITUATIONS}
     if any(m.estimator == "smoother" for found in measures.values() for m in found):
-        written.append(write_report(measures, kept_equal_times(folder), docs))
+        written.append(write_report(measures, docs))
     scores = {n: store.kept(n, Score, of_any_sources=of_any_sources) for n in KINDS}
     if any(scores.values()):
         written.append(write_compositions(scores, docs))

@@ -7,11 +7,10 @@ import numpy as np
 
 from benchmarks.machine import machine
 
-from .dance import Point
 from .measure import DECIDED_M, GROSS, Measure
 from .situations import SITUATIONS
 from .store import ESTIMATORS
-from .summary import Ratio, Summary, bold_count, page_table, summary_of
+from .summary import Ratio, bold_count, count_of, mean_of, page_table, ratio_of
 
 _HEAD = """# Accuracy
 
@@ -51,55 +50,52 @@ and 0.9 to 1.1) by more than two standard errors.
 """
 
 
-def write_report(measures: Mapping[str, list[Measure]], points: list[Point], docs: Path) -> Path:
-    """Write the page; return its path. `points`: dance and loop in equal time."""
+def write_report(measures: Mapping[str, list[Measure]], docs: Path) -> Path:
+    """Write the page; return its path."""
     docs.mkdir(parents=True, exist_ok=True)
     of_smoother = {
-        n: [m for m in found if m.estimator == "smoother"] for n, found in measures.items()
+        name: those
+        for name, found in measures.items()
+        if (those := [measure for measure in found if measure.estimator == "smoother"])
     }
-    summaries = {name: summary_of(found) for name, found in of_smoother.items() if found}
-    most = max(summary.sessions for summary in summaries.values())
+    most = max(map(len, of_smoother.values()))
     head = _HEAD.format(seeds=most, gross=GROSS, decided=100 * DECIDED_M)
-    parts = [head, _situations(summaries)]
-    if "drive" in summaries:
-        parts += [_drive(summaries["drive"])]
-    parts += [_dance(points, summaries), _estimators(measures)]
+    parts = [head, *_situations(of_smoother)]
+    if "drive" in of_smoother:
+        parts += [_distances(of_smoother["drive"])]
+    parts += [*_estimators(measures), f"Measured on {machine().summary}.\n"]
     path = docs / "accuracy.md"
-    path.write_text("\n".join([*parts, f"Measured on {machine().summary}.\n"]), encoding="utf-8")
+    path.write_text("\n".join(parts), encoding="utf-8")
     return path
 
 
-def _situations(summaries: Mapping[str, Summary]) -> str:
+def _situations(measures: Mapping[str, list[Measure]]) -> list[str]:
     rows = []
-    for name, s in summaries.items():
-        goal = SITUATIONS[name].goal
-        low, high = goal.honesty
+    for name, found in measures.items():
+        goal, left_open = SITUATIONS[name].goal, count_of(found, "left_open")
+        distance, bound = 100 * mean_of(found, "distance"), 100 * mean_of(found, "distance_bound")
         cells = [
             SITUATIONS[name].title,
-            str(s.sessions),
-            _ratio(s.efficiency, 0.0, goal.efficiency),
-            _ratio(s.honesty, low, high),
-            f"{100 * s.distance:.2f}, {100 * s.distance_bound:.2f}",
-            bold_count(s.wrong + s.made_up),
-            bold_count(s.undetermined) + (f", {s.left_open} rightly" if s.left_open else ""),
-            f"{s.seconds:.2f}",
+            str(len(found)),
+            _ratio(ratio_of(m.efficiency for m in found), 0.0, goal.efficiency),
+            _ratio(ratio_of(m.honesty for m in found), *goal.honesty),
+            f"{distance:.2f}, {bound:.2f}",
+            bold_count(count_of(found, "wrong", "made_up")),
+            bold_count(count_of(found, "undetermined"))
+            + (f", {left_open} rightly" if left_open else ""),
+            f"{mean_of(found, 'seconds'):.2f}",
         ]
         rows.append(cells)
-    total = sum(s.sessions for s in summaries.values())
-    wrong = sum(s.wrong + s.made_up for s in summaries.values())
-    undetermined = sum(s.undetermined for s in summaries.values())
     head = (
         "situation | sessions | error / bound | error / own | distance, bound (cm) | wrong "
         "| undetermined | time (s)"
     )
-    lines = [
-        *page_table(head, rows),
-        "",
-        f"Of {total} sessions {wrong} have a wrong camera, {undetermined} one that is "
-        "undetermined though the data decide.",
-        "",
-    ]
-    return "\n".join(lines)
+    every = [measure for found in measures.values() for measure in found]
+    words = (
+        f"Of {len(every)} sessions {count_of(every, 'wrong', 'made_up')} have a wrong camera, "
+        f"{count_of(every, 'undetermined')} one that is undetermined though the data decide."
+    )
+    return [*page_table(head, rows), "", words, ""]
 
 
 def _ratio(ratio: Ratio, low: float, high: float) -> str:
@@ -109,57 +105,34 @@ def _ratio(ratio: Ratio, low: float, high: float) -> str:
     return text if is_met else f"**{text}**"
 
 
-def _drive(s: Summary) -> str:
+def _distances(found: list[Measure]) -> str:
+    distance, bound = mean_of(found, "distance"), mean_of(found, "distance_bound")
     return (
         f"## Distances\n\nIn the demo's lab the distances between cameras are off by "
-        f"{100 * s.distance:.2f} cm in the mean; the bound expects {100 * s.distance_bound:.2f} "
-        f"cm, which is a ratio of {s.distance / s.distance_bound:.3f}. The paper reached 2.11 cm.\n"
+        f"{100 * distance:.2f} cm in the mean; the bound expects {100 * bound:.2f} "
+        f"cm, which is a ratio of {distance / bound:.3f}. The paper reached 2.11 cm.\n"
     )
 
 
-def _dance(points: list[Point], summaries: Mapping[str, Summary]) -> str:
-    lines = [
-        "## Dance or loop\n",
-        "The paper left open whether turning before each camera or going around more often is the "
-        "better use of the same time. The bound of the distance error for both:\n",
-    ]
-    rows = [
-        (f"{p.seconds:.0f}", str(circles), f"{100 * p.dance:.2f}", f"{100 * p.loop:.2f}")
-        for circles, p in enumerate(points)
-    ]
-    head = "seconds | circles a camera | the dance (cm) | going around (cm)"
-    lines += page_table(head, rows)
-    if "dance" in summaries and "loop" in summaries:
-        dance, loop = summaries["dance"], summaries["loop"]
-        lines.append(
-            f"\nMeasured with two circles a camera: the dance {100 * dance.distance:.2f} cm over "
-            f"{dance.sessions} sessions, going around {100 * loop.distance:.2f} cm over "
-            f"{loop.sessions}."
-        )
-    return "\n".join([*lines, ""])
-
-
-def _estimators(measures: Mapping[str, list[Measure]]) -> str:
+def _estimators(measures: Mapping[str, list[Measure]]) -> list[str]:
     """One table of all estimators over the sessions that all of them worked out."""
     rows = []
     for name, found in measures.items():
         by = {e: {m.seed: m for m in found if m.estimator == e} for e in ESTIMATORS}
         present = [e for e in ESTIMATORS if by[e]]
-        if len(present) < 2:
-            continue
-        seeds = sorted(set.intersection(*(set(by[e]) for e in present)))
-        for estimator in present if seeds else []:
-            s = summary_of([by[estimator][seed] for seed in seeds])
+        seeds = sorted(set.intersection(*(set(by[e]) for e in present))) if present else []
+        for estimator in present if len(present) > 1 and seeds else []:
+            shared = [by[estimator][seed] for seed in seeds]
             cells = [
                 SITUATIONS[name].title,
                 estimator,
-                str(s.sessions),
-                s.efficiency.told(3),
-                s.honesty.told(3),
-                f"{100 * s.distance:.2f}",
-                str(s.wrong),
-                str(s.undetermined),
-                f"{s.seconds:.2f}",
+                str(len(shared)),
+                ratio_of(m.efficiency for m in shared).told(3),
+                ratio_of(m.honesty for m in shared).told(3),
+                f"{100 * mean_of(shared, 'distance'):.2f}",
+                str(count_of(shared, "wrong")),
+                str(count_of(shared, "undetermined")),
+                f"{mean_of(shared, 'seconds'):.2f}",
             ]
             rows.append(cells)
     head = (
@@ -167,7 +140,7 @@ def _estimators(measures: Mapping[str, list[Measure]]) -> str:
         "| undetermined | time (s)"
     )
     lines = ["## Estimators\n", "On the same sessions:\n", *page_table(head, rows), ""]
-    return "\n".join(lines) if rows else ""
+    return lines if rows else []
 
 
 def line_of(m: Measure) -> str:

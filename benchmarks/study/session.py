@@ -94,11 +94,7 @@ def worked_out(session: StudySession) -> Pipeline:
 
 def fed(inputs: Inputs, messages: Iterable[tuple[str, Message]]) -> Pipeline:
     """A pipeline after all these messages, finished."""
-    pipeline = Pipeline(inputs, is_live=False)
-    for node, message in messages:
-        pipeline.push(node, message)
-        if isinstance(message, Odometry):
-            pipeline.advance()
+    pipeline = Pipeline(inputs, is_live=False).replay(messages)
     pipeline.finish()
     return pipeline
 

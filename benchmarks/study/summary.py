@@ -1,6 +1,6 @@
-"""What many sessions of one situation say together."""
+"""What many sessions of one situation say together, and how a page shows it."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,50 +23,6 @@ class Ratio:
         return f"{self.value:.{digits}f}{error}"
 
 
-@dataclass(frozen=True, slots=True)
-class Summary:
-    """`efficiency` and `honesty`: over all sessions in which a camera was located; metres and
-    seconds are means; `wrong`, `undetermined` and so on: sessions with such a camera."""
-
-    sessions: int
-    efficiency: Ratio
-    honesty: Ratio
-    distance: float
-    distance_bound: float
-    seconds: float
-    wrong: int
-    undetermined: int
-    left_open: int
-    made_up: int
-
-
-def summary_of(measures: list[Measure]) -> Summary:
-    """Of one situation and estimator; at least one measure."""
-    return Summary(
-        sessions=len(measures),
-        efficiency=ratio_of([m.efficiency for m in measures]),
-        honesty=ratio_of([m.honesty for m in measures]),
-        distance=_mean(measures, lambda m: m.distance),
-        distance_bound=_mean(measures, lambda m: m.distance_bound),
-        seconds=_mean(measures, lambda m: m.seconds),
-        wrong=sum(bool(m.wrong) for m in measures),
-        undetermined=sum(bool(m.undetermined) for m in measures),
-        left_open=sum(bool(m.left_open) for m in measures),
-        made_up=sum(bool(m.made_up) for m in measures),
-    )
-
-
-def page_table(head: str, rows: Iterable[Sequence[str]]) -> list[str]:
-    """Lines of Markdown; `head` with its bars."""
-    rule = " | ".join(["---"] * (head.count("|") + 1))
-    return [f"| {line} |" for line in (head, rule, *map(" | ".join, rows))]
-
-
-def bold_count(count: int) -> str:
-    """Bold where there are any."""
-    return f"**{count}**" if count else "0"
-
-
 def ratio_of(found: Iterable[float | None]) -> Ratio:
     """Of the squares of all sessions that have one."""
     squares = [square for square in found if square is not None]
@@ -79,5 +35,22 @@ def ratio_of(found: Iterable[float | None]) -> Ratio:
     return Ratio(value, error)
 
 
-def _mean(measures: list[Measure], of: Callable[[Measure], float]) -> float:
-    return float(np.mean([of(measure) for measure in measures]))
+def mean_of(measures: list[Measure], name: str) -> float:
+    """Of one of their numbers."""
+    return float(np.mean([getattr(measure, name) for measure in measures]))
+
+
+def count_of(measures: Iterable[Measure], *names: str) -> int:
+    """How many sessions have a camera in one of these lists."""
+    return sum(any(getattr(measure, name) for name in names) for measure in measures)
+
+
+def page_table(head: str, rows: Iterable[Sequence[str]]) -> list[str]:
+    """Lines of Markdown; `head` with its bars."""
+    rule = " | ".join(["---"] * (head.count("|") + 1))
+    return [f"| {line} |" for line in (head, rule, *map(" | ".join, rows))]
+
+
+def bold_count(count: int) -> str:
+    """Bold where there are any."""
+    return f"**{count}**" if count else "0"

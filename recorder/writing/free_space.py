@@ -1,11 +1,11 @@
 """Room on the disk: how much is left, and which finished recordings may make more."""
 
 import os
-import shutil
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+from trigpoint.base.disk import free_bytes
 from trigpoint.recorder.mcap.records import MAGIC
 
 
@@ -70,13 +70,6 @@ class Room:
     def _oldest(self, running: Path) -> Path | None:
         here = running.resolve()
         return next((f for f in self._folders() if f.resolve() != here and _is_finished(f)), None)
-
-
-def free_bytes(directory: Path) -> float:
-    """Room on the disk of a folder that may be yet to be made."""
-    while not directory.exists():
-        directory = directory.parent
-    return shutil.disk_usage(directory).free
 
 
 def _is_finished(folder: Path) -> bool:

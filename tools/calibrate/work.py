@@ -1,11 +1,11 @@
 """The estimator over a recorded session or anybody's bag; prints nothing."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from trigpoint.base.errors import InputError, OperationError
-from trigpoint.contract.messages import Odometry
+from trigpoint.contract.messages import Message
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.inputs import load_inputs
 from trigpoint.fusion.model.inputs import Inputs
@@ -110,9 +110,12 @@ def fed(
             f"{source}: it is of robot {', '.join(sorted(robots))}, and the site file has only "
             f"{', '.join(sorted(inputs.site.robots))}; use the same names"
         )
-    for node, message in found.in_order:
-        pipeline.push(node, message)
-        if isinstance(message, Odometry):
-            pipeline.advance()
+    return pipeline.replay(_told(found.in_order, step))
+
+
+def _told(
+    messages: Iterable[tuple[str, Message]], step: Callable[[], None]
+) -> Iterator[tuple[str, Message]]:
+    for item in messages:
+        yield item
         step()
-    return pipeline

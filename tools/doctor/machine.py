@@ -3,7 +3,6 @@
 import ctypes
 import importlib.util
 import os
-import shutil
 import struct
 import sys
 import threading
@@ -12,6 +11,7 @@ from pathlib import Path
 from msgspec.structs import replace
 
 from trigpoint.base.checks import Check, Level
+from trigpoint.base.disk import free_bytes
 from trigpoint.base.errors import BusError
 from trigpoint.base.words import install_command
 from trigpoint.bus.bus import Bus
@@ -91,7 +91,7 @@ def _read_clock() -> tuple[int, int]:
 def check_disk(directory: Path) -> Check:
     """Whether there is disk space for a recording."""
     existing = next(path for path in (directory, *directory.absolute().parents) if path.exists())
-    free = shutil.disk_usage(existing).free
+    free = free_bytes(existing)
     text = f"{free / _GIGABYTE:.1f} GB free in {existing.absolute()}"
     if not os.access(existing, os.W_OK):
         return Check("disk", "error", f"{existing} cannot be written", "choose another directory")

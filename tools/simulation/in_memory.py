@@ -1,8 +1,8 @@
 """A simulated session in memory: the messages that an estimator gets, and what an oracle knows."""
 
-import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from operator import itemgetter
 
 import numpy as np
 
@@ -71,21 +71,17 @@ def simulated(world: World, disturbance: Disturbance) -> Simulated:
     actual = with_ways(disturbed(world, disturbance))
     views = views_of(actual)
     truth = Truth(actual)
-    arrivals: list[tuple[int, int, str, Message]] = []
-    order = itertools.count()
+    arrivals: list[tuple[int, str, Message]] = []
     for robot in actual.robots:
-        arrivals += [
-            (message.stamp_ns, next(order), robot, message)
-            for message in _odometry(actual, robot, disturbance)
-        ]
+        arrivals += [(m.stamp_ns, robot, m) for m in _odometry(actual, robot, disturbance)]
     for camera in actual.cameras:
         # A picture comes after the odometry that is no younger.
         arrivals += [
-            (message.stamp_ns + late_ns + 1, next(order), camera, message)
+            (message.stamp_ns + late_ns + 1, camera, message)
             for message, late_ns in _sightings(truth, camera, views[camera], disturbance)
         ]
-    arrivals.sort(key=lambda arrival: arrival[:2])
-    return Simulated([(node, message) for *_, node, message in arrivals], truth)
+    arrivals.sort(key=itemgetter(0))
+    return Simulated([(node, message) for _, node, message in arrivals], truth)
 
 
 def views_of(world: World) -> Views:

@@ -19,19 +19,17 @@ from trigpoint.base.errors import InputError
 from trigpoint.contract.messages import FaceSighting
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array, exp
-from trigpoint.site.target import Pattern, Target
+from trigpoint.site.target import Target
 
 from .motion.actors import SimulatedCamera, SimulatedRobot
 from .motion.odometry import OdometryLog, chained, drawn_scales, reported
 from .motion.path import Drive, rounded_path
 from .sight.rolling import rolled
-from .sight.seen_corners import SeenFace, Wall, seen_faces_each
+from .sight.seen_corners import SeenFace, Wall, seen_faces_each, told_name
 from .sight.targets import target_of
 from .world_file import CameraSpec, RobotSpec, WorldFile, load_world_file
 
 _Item = TypeVar("_Item")
-
-FEWEST_CORNERS = 6  # of a board that may be seen in part
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -156,27 +154,16 @@ class World:
         self, seen: SeenFace, robot: str, sigma: float, random: np.random.Generator
     ) -> Shown | None:
         face = seen.face
-        whole = face.pattern is Pattern.CHECKERBOARD
-        needed = face.corner_count if whole else min(FEWEST_CORNERS, face.corner_count)
         # Drawn in any case, so that one face's fate does not move another's noise.
         noise = random.normal(0.0, sigma, (face.corner_count, 2))
         turned = face.reads_from_both_ends and random.random() < 0.5
-        if len(seen.corners) < needed or seen.smallest_square_px < self.smallest_square_px:
+        if not seen.is_found(self.smallest_square_px):
             return None
-        pixels = (seen.pixels + noise[seen.corners]).astype(np.float32)
-        if turned:
-            pixels = pixels[::-1].copy()
+        pixels = seen.pixels + noise[seen.corners]
         target = self.target(robot)
-        number = face.id if len(target.look_alikes(face.appearance)) == 1 else -1
-        sighting = FaceSighting(self._shown_name(robot), number, seen.corners, pixels, sigma)
+        name = told_name(target, (self.target(other) for other in self.robots if other != robot))
+        sighting = seen.sighting(target, name, pixels[:: -1 if turned else 1], sigma)
         return Shown(sighting, robot, face.id, turned)
-
-    def _shown_name(self, robot: str) -> str:
-        """The target's name, or "" where another robot carries the same pattern."""
-        own = {face.appearance for face in self.target(robot).faces}
-        others = (self.target(other).faces for other in self.robots if other != robot)
-        alike = any(face.appearance in own for faces in others for face in faces)
-        return "" if alike else self.target(robot).name
 
 
 def load_world(name_or_path: str, *, seed: int, target: str | None = None) -> World:

@@ -95,6 +95,11 @@ METRICS: dict[str, tuple[Metric, ...]] = {
             "trigpoint_queue_dropped_total", f"{_QUEUE}.lost", "messages that a full queue dropped"
         ),
         Metric("trigpoint_queue_depth", "{queue}.depth", "what waits in a queue"),
+        Metric(
+            "trigpoint_disk_free_bytes",
+            "disk_free_bytes",
+            "left on the disk that the node writes to, of recorder and fusion",
+        ),
     ),
     "edge": (
         Metric("trigpoint_pictures_total", "pictures.total", "pictures that came"),
@@ -359,9 +364,6 @@ METRICS: dict[str, tuple[Metric, ...]] = {
             "trigpoint_recording_lost_total",
             "file {key}.lost",
             "messages that the disk was too slow for, or that it has no room for",
-        ),
-        Metric(
-            "trigpoint_disk_free_bytes", "disk_free_bytes", "left on the disk of the recordings"
         ),
     ),
     "view": (

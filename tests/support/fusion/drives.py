@@ -21,21 +21,21 @@ from trigpoint.fusion.intake.message_intake import Intake
 from trigpoint.fusion.model.dataset import DataSet, Entry
 from trigpoint.fusion.pipeline import Inputs, Output, Pipeline
 from trigpoint.geometry import CameraModel, Pose
-from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
 from trigpoint.map.network import PoseRecord, encode_tum
 from trigpoint.recorder.mcap.writer import McapWriter
 from trigpoint.site.config import OdometryNoise, parse_site
-from trigpoint.site.target import Face, Pattern, Target
+from trigpoint.site.target import Target
 from trigpoint.testing.views import looking_at
 from trigpoint.tools.networks.truth import NetworkError, TruthFile, network_error
 from trigpoint.tools.shapes.text import target_text
-from trigpoint.tools.simulation.sight.seen_corners import seen_faces_each
+from trigpoint.tools.simulation.motion.way import chained_in_space, scattered_in_space
+from trigpoint.tools.simulation.sight.seen_corners import SeenFace, seen_faces_each
 from trigpoint.tools.simulation.sight.targets import target_of
 
 EPOCH_NS = 1_700_000_000_000_000_000
 STEP_S = 0.025
-_FEWEST_CORNERS = 6
+_SMALLEST_SQUARE_PX = 6.0
 
 Sent = Input
 
@@ -195,22 +195,8 @@ def with_moved(plan: Plan, camera: str, pose: Pose, at_s: float) -> Session:
 
 def _truth(robot: RobotPlan, reported: Pose, random: np.random.Generator) -> Pose:
     steps = reported[:-1].inverse() @ reported[1:]
-    turns = so3.log(steps.rotation)
-    moves = np.linalg.solve(so3.left_jacobian(turns), steps.translation[..., None])[..., 0]
-    length, turned = np.linalg.norm(moves, axis=1), np.linalg.norm(turns, axis=1)
-    noise, draw = robot.noise, random.standard_normal((len(turns), 6))
-    along = np.array([noise.distance, noise.lateral, noise.vertical])
-    shift = so3.exp(0.5 * turns) @ (along * np.sqrt(length)[:, None] * draw[:, :3])[..., None]
-    heading = np.sqrt(noise.heading_drive**2 * length + noise.heading_turn**2 * turned)
-    tilt = np.sqrt(noise.tilt**2 * length + noise.tilt_turn**2 * turned)
-    spin = draw[:, 3:] * np.column_stack([tilt, tilt, heading])
-    turns, moves = turns * (1 + robot.scales[1]), moves * (1 + robot.scales[0])
-    true = Pose(so3.exp(turns), (so3.left_jacobian(turns) @ moves[..., None])[..., 0])
-    true = true.disturbed(np.concatenate([shift[..., 0], spin], axis=1))
-    poses = [robot.map_from_odom @ reported[0]]
-    for index in range(len(turns)):
-        poses.append(poses[-1] @ true[index])
-    return Pose.stack(poses)
+    true = scattered_in_space(steps, robot.noise, np.array(robot.scales), random)
+    return chained_in_space(robot.map_from_odom @ reported[0], true)
 
 
 def pictures_of(plan: Plan, truth: dict[str, Pose]) -> list[tuple[str, Sightings]]:
@@ -243,17 +229,15 @@ def _pictures(
         yield Sightings(stamp_ns, f"{name}/optical", 640, 480, tuple(faces))
 
 
-def _sighting(plan: Plan, target: Target, seen, random: np.random.Generator) -> FaceSighting | None:
-    face: Face = seen.face
-    needed = face.corner_count if face.pattern is Pattern.CHECKERBOARD else _FEWEST_CORNERS
-    if len(seen.corners) < needed or seen.smallest_square_px < 6.0:
+def _sighting(
+    plan: Plan, target: Target, seen: SeenFace, random: np.random.Generator
+) -> FaceSighting | None:
+    if not seen.is_found(_SMALLEST_SQUARE_PX):
         return None
     pixels = seen.pixels + random.normal(0.0, 1.0, seen.pixels.shape) * plan.sigma
-    if face.reads_from_both_ends and random.random() < 0.5:
+    if seen.face.reads_from_both_ends and random.random() < 0.5:
         pixels = pixels[::-1]
-    number = face.id if len(target.look_alikes(face.appearance)) == 1 else -1
-    pixels = pixels.astype(np.float32)
-    return FaceSighting(target.name, number, seen.corners, pixels, plan.stated)
+    return seen.sighting(target, target.name, pixels, plan.stated)
 
 
 def _inputs(plan: Plan) -> Inputs:
@@ -296,11 +280,7 @@ def offline(session: Session) -> Results:
 
 def pushed(inputs: Inputs, messages: tuple[tuple[str, Message], ...]) -> Pipeline:
     """A pipeline after everything was pushed in this order and it was finished."""
-    pipeline = Pipeline(inputs, is_live=False)
-    for node, message in messages:
-        pipeline.push(node, message)
-        if isinstance(message, Odometry):
-            pipeline.advance()
+    pipeline = Pipeline(inputs, is_live=False).replay(messages)
     pipeline.finish()
     return pipeline
 

@@ -14,8 +14,9 @@ from benchmarks.compositions.files import site_text
 from benchmarks.compositions.recipe import Recipe
 from benchmarks.compositions.ride import Driver
 from benchmarks.compositions.room import Camera, cameras_of
+from benchmarks.compositions.route import heading_in_sight
 from benchmarks.compositions.session import Composition
-from benchmarks.compositions.views import Carrier, Picture, faces_in_sight, pictures_of
+from benchmarks.compositions.views import Carrier, Picture, pictures_of
 from trigpoint.contract.messages import CameraInfo, Message, Odometry, Sightings
 from trigpoint.fusion.association.events import Events
 from trigpoint.fusion.association.graph import Graph
@@ -24,11 +25,8 @@ from trigpoint.fusion.association.visits import visit_of
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.pipeline import Inputs, Pipeline
-from trigpoint.geometry.rotation import wrap
 from trigpoint.site.config import Site, parse_site
 from trigpoint.site.target import Target
-
-_MOST_DRAWS = 60
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,30 +169,16 @@ def _driven(
                 [np.cos(angle), np.sin(angle)]
             )
         driver.go_to(place)
-        driver.turn_to(_heading(recipe, random, camera, target, place, stood.get(number)))
+        before = stood[number][2] if number in stood else None
+        heading, is_seen = heading_in_sight(recipe, random, target, camera, place, before)
+        if not is_seen:
+            raise ValueError("the camera sees nothing of the robot, however it turns")
+        driver.turn_to(heading)
         stood[number] = driver.here
         driver.stand(0.4)
         stands_s.append(driver.ride().stops_s[-1])
     driver.stand(0.2)
     return driver, stands_s
-
-
-def _heading(
-    recipe: Recipe,
-    random: np.random.Generator,
-    camera: Camera,
-    target: Target,
-    place: np.ndarray,
-    before: np.ndarray | None,
-) -> float:
-    """A drawn heading at which the camera finds a face, unlike the one before."""
-    for _ in range(_MOST_DRAWS):
-        heading = float(random.uniform(-np.pi, np.pi))
-        if before is not None and abs(wrap(heading - before[2])) < np.radians(50):
-            continue
-        if faces_in_sight(recipe, target, np.append(place, heading), camera):
-            return heading
-    raise ValueError("the camera sees nothing of the robot, however it turns")
 
 
 def _moved(shape: Shape, recipe: Recipe, camera: Camera, stands_s: list[float]) -> Camera:
@@ -217,10 +201,7 @@ def data_of(shape: Shape) -> tuple[DataSet, list[Observation]]:
     """What fusion knows of such a session once all of it came in, before it is explained."""
     session = small_session(shape)
     pipeline = Pipeline(Inputs(session.site, {"r1": session.target}), is_live=False)
-    for node, message in session.messages:
-        pipeline.push(node, message)
-        pipeline.advance()
-    pipeline.finish()
+    pipeline.replay(session.messages).finish()
     data = pipeline._data  # pyright: ignore[reportPrivateUsage]
     return data, [entry.observation for entry in data.entries]
 

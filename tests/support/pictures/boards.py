@@ -132,9 +132,7 @@ def picture_of(
     picture = cv2.resize(light, size, interpolation=cv2.INTER_AREA)
     if blur_px > 0:
         picture = cv2.GaussianBlur(picture, (0, 0), blur_px)
-    random = np.random.default_rng(seed)
-    noisy = picture + random.normal(0.0, noise, picture.shape) if noise else picture
-    return np.clip(noisy, 0, 255).round().astype(np.uint8)
+    return _developed(picture, noise, seed)
 
 
 def fine_picture_of(
@@ -161,16 +159,18 @@ def fine_picture_of(
     size = (camera.width, camera.height)
     light = cv2.resize(picture.astype(np.float32), size, interpolation=cv2.INTER_AREA)
     light = cv2.GaussianBlur(light, (0, 0), blur_px)
-    random = np.random.default_rng(seed)
-    noisy = light + random.normal(0.0, noise, light.shape) if noise else light
-    return np.clip(noisy, 0, 255).round().astype(np.uint8)
+    return _developed(light, noise, seed)
 
 
 def plain_picture(*, noise: float = 0.0, level: float = GROUND, seed: int = 0) -> np.ndarray:
     """A picture of nothing, (480, 640) uint8."""
-    random = np.random.default_rng(seed)
-    values = level + random.normal(0.0, noise, (480, 640)) if noise else np.full((480, 640), level)
-    return np.clip(values, 0, 255).round().astype(np.uint8)
+    return _developed(np.full((480, 640), level), noise, seed)
+
+
+def _developed(light: np.ndarray, noise: float, seed: int) -> np.ndarray:
+    """Light as the grey values (h, w) uint8 of a camera with this noise."""
+    shown = light + np.random.default_rng(seed).normal(0.0, noise, light.shape) if noise else light
+    return np.clip(shown, 0, 255).round().astype(np.uint8)
 
 
 def cluttered_picture(seed: int) -> np.ndarray:

@@ -16,6 +16,7 @@ from signal import SIGKILL, SIGTERM, Signals
 from support.builders import eventually
 from support.fusion.drives import EPOCH_NS, Sent, Session, offline
 
+from benchmarks.timing import family, resident_mb
 from trigpoint.base.clock import to_ns
 from trigpoint.bus.bus import Bus
 from trigpoint.contract import cdr
@@ -137,19 +138,9 @@ class Program:
 
     def resident_mb(self) -> float:
         """What it and its children keep in memory, MB."""
-        pids, found = [self.process.pid], 0.0
-        while pids:
-            pid = pids.pop()
-            with suppress(OSError):
-                status = Path(f"/proc/{pid}/status").read_text()
-                found += sum(
-                    int(line.split()[1]) / 1024
-                    for line in status.splitlines()
-                    if line.startswith("VmRSS:")
-                )
-                children = Path(f"/proc/{pid}/task/{pid}/children").read_text()
-                pids += [int(child) for child in children.split()]
-        return found
+        with suppress(OSError):
+            return sum(map(resident_mb, family(self.process.pid)))
+        return 0.0
 
 
 _LIMITED = """

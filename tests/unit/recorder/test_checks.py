@@ -1,5 +1,6 @@
 """What `doctor` hears of the recorder."""
 
+import shutil
 from collections import namedtuple
 from pathlib import Path
 
@@ -14,7 +15,7 @@ Usage = namedtuple("Usage", "total used free")
 def test_room_to_record_is_judged(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, free: float, level: str
 ) -> None:
-    monkeypatch.setattr(checks.shutil, "disk_usage", lambda _: Usage(0, 0, free))
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: Usage(0, 0, free))
     check = checks.room(tmp_path / "not" / "there" / "yet")
     assert check.level == level
     assert bool(check.remedy) == (level != "ok")

@@ -5,6 +5,7 @@ import re
 import signal
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -20,20 +21,22 @@ from trigpoint.cli import (
     COMMANDS,
     EXTRAS,
     GROUPS,
-    SITE_EXTRAS,
     Command,
     chosen_command,
     log_level_in_front,
     run,
 )
 
+ROOT = Path(trigpoint.__file__).resolve().parents[1]
 
-def put_command(monkeypatch: pytest.MonkeyPatch, function: object) -> None:
-    """Make `trigpoint edge` run `function`."""
+
+def put_command(monkeypatch: pytest.MonkeyPatch, function: object, name: str = "edge") -> None:
+    """Make `trigpoint NAME` run `function`."""
     module = ModuleType("pretended")
     module.__dict__["main"] = function
     monkeypatch.setitem(sys.modules, "pretended", module)
-    monkeypatch.setitem(COMMANDS, "edge", Command("pretended:main", "Pretends.", "edge"))
+    extra = COMMANDS[name].extra
+    monkeypatch.setitem(COMMANDS, name, Command("pretended:main", "Pretends.", extra))
 
 
 def test_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
@@ -164,33 +167,39 @@ def test_error_on_purpose_is_one_line_with_its_status(
 
 
 @pytest.mark.parametrize("package", list(EXTRAS))
+@pytest.mark.parametrize("command", ["edge", "board", "calibrate"])
 def test_missing_extra_names_what_to_install(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], package: str
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], package: str, command: str
 ) -> None:
+    """The command's own extra where that has the package: a bag that an agent's machine opens
+    takes the recorder's."""
+
     def fail() -> None:
         raise ModuleNotFoundError(f"No module named '{package}.x'", name=f"{package}.x")
 
-    put_command(monkeypatch, fail)
-    assert run(["edge"]) == 1
+    own = COMMANDS[command].extra
+    extra = own if own in EXTRAS[package] else EXTRAS[package][0]
+    put_command(monkeypatch, fail, command)
+    assert run([command]) == 1
     assert capsys.readouterr().err == (
-        f"trigpoint: `trigpoint edge` needs the package «{package}», which is not installed here; "
-        "run: pip install -c constraints.txt 'trigpoint[edge] @ "
+        f"trigpoint: `trigpoint {command}` needs the package «{package}», which is not installed "
+        f"here; run: pip install -c constraints.txt 'trigpoint[{extra}] @ "
         f"file:///path/to/trigpoint-{trigpoint.__version__}-py3-none-manylinux_2_28_"
         f"{os.uname().machine}.whl'\n"
     )
 
 
-def test_what_a_site_file_requires_is_an_extra_of_its_own(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """A camera's agent is installed without PyAV, until a camera is a network stream."""
-
-    def fail() -> None:
-        raise ModuleNotFoundError("No module named 'av'", name="av")
-
-    put_command(monkeypatch, fail)
-    assert run(["edge"]) == 1
-    assert "run: pip install -c constraints.txt 'trigpoint[streams] @ " in capsys.readouterr().err
+def test_extras_are_those_that_the_project_declares() -> None:
+    declared = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    names = {"PIL": "pillow", "cv2": "opencv-python-headless", "serial": "pyserial"}
+    for package in ("PIL", "av", "cryptography", "cv2", "filterpy", "mcap", "scipy", "serial"):
+        wanted = names.get(package, package)
+        has_it = {
+            extra
+            for extra, needs in declared["optional-dependencies"].items()
+            if any(re.split(r"[>=<]", need)[0] == wanted for need in needs)
+        }
+        assert set(EXTRAS[package]) == has_it, package
 
 
 def test_every_package_that_may_be_missing_is_known() -> None:
@@ -203,7 +212,7 @@ def test_every_package_that_may_be_missing_is_known() -> None:
     always.add("prometheus_client")
     always.add("pymavlink")  # its own protocol says that it is missing
     assert len(modules) > 100
-    assert imported - sys.stdlib_module_names - always <= EXTRAS.keys() | SITE_EXTRAS.keys()
+    assert imported - sys.stdlib_module_names - always <= EXTRAS.keys()
 
 
 def _imported(tree: ast.AST) -> Iterator[str]:
@@ -217,7 +226,7 @@ def _imported(tree: ast.AST) -> Iterator[str]:
 
 def test_a_camera_node_needs_the_edge_extra_alone() -> None:
     """Its commands, and what `doctor` looks at there."""
-    others = [name for name, extra in (EXTRAS | SITE_EXTRAS).items() if extra != "edge"]
+    others = [name for name, extras in EXTRAS.items() if "edge" not in extras]
     places = [row.place.partition(":")[0] for row in COMMANDS.values() if row.extra == "edge"]
     places += ["trigpoint.tools.doctor.cameras", "trigpoint.tools.doctor.boards"]
     assert "trigpoint.tools.pictures.detect" in places

@@ -12,7 +12,7 @@ from trigpoint.tools.shapes.upright import MARGIN_M
 
 LEVELS = (96, 48, 32, 24, 16, 12, 8)  # texels a square; all divide the first, so edges stay exact
 BLACK, WHITE = 28, 222
-_NOTHING = 2  # texels of no coverage around a sheet
+NOTHING = 2  # texels of no coverage around a sheet
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,8 +41,8 @@ def texture(face: Face, texels: int) -> Texture:
     grey = cv2.resize(_printed(face), size, interpolation=cv2.INTER_AREA)
     margin = max(1, round(MARGIN_M / face.square * texels))
     grey = _framed(grey, margin, WHITE)
-    sheet = np.dstack([_framed(grey, _NOTHING, 0), _framed(np.full_like(grey, 255), _NOTHING, 0)])
-    return Texture(sheet, texels / face.square, margin + _NOTHING - 0.5, face.square)
+    sheet = np.dstack([_framed(grey, NOTHING, 0), _framed(np.full_like(grey, 255), NOTHING, 0)])
+    return Texture(sheet, texels / face.square, margin + NOTHING - 0.5, face.square)
 
 
 def level_for(square_px: float) -> int:
@@ -64,15 +64,16 @@ def _printed(face: Face) -> np.ndarray:
         squares = ((row + column + face.inverted) % 2 * 255).astype(np.uint8)
         pattern = np.kron(squares, np.ones((LEVELS[0], LEVELS[0]), np.uint8))
     elif face.pattern is Pattern.CHARUCO:
-        pattern = _charuco(face)
+        size = (face.columns * LEVELS[0], face.rows * LEVELS[0])
+        pattern = charuco_board(face).generateImage(size)
     else:
         raise InputError(f"the simulation prints no {face.pattern.value} faces; use charuco")
     return np.where(pattern > 127, WHITE, BLACK).astype(np.uint8)
 
 
-def _charuco(face: Face) -> np.ndarray:
+def charuco_board(face: Face) -> cv2.aruco.CharucoBoard:
+    """OpenCV's board of a face."""
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, str(face.dictionary)))
     ids = np.arange(face.first_marker, face.first_marker + face.marker_count, dtype=np.int32)
     size, marker = (face.columns, face.rows), float(face.marker or 0.0)
-    board = cv2.aruco.CharucoBoard(size, face.square, marker, dictionary, ids)
-    return board.generateImage((face.columns * LEVELS[0], face.rows * LEVELS[0]))
+    return cv2.aruco.CharucoBoard(size, face.square, marker, dictionary, ids)

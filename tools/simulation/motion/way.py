@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from trigpoint.contract.odometry_noise import step_variances
 from trigpoint.geometry import Pose
+from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
 from trigpoint.site.config import OdometryNoise
 
@@ -50,3 +51,26 @@ def scattered(
     draw = random.standard_normal(steps.shape)
     shift = half_turned(np.sqrt(variances.translation[:, :2]) * draw[:, :2], steps[:, 2])
     return clean + np.column_stack([shift, np.sqrt(variances.rotation[:, 2]) * draw[:, 2]])
+
+
+def scattered_in_space(
+    steps: Pose, noise: OdometryNoise, scale_errors: Array, random: np.random.Generator
+) -> Pose:
+    """`scattered` of steps (n) in space, with the contract's noise in all directions."""
+    turns = so3.log(steps.rotation)
+    moves = np.linalg.solve(so3.left_jacobian(turns), steps.translation[..., None])[..., 0]
+    variances = step_variances(noise, np.linalg.norm(moves, axis=1), np.linalg.norm(turns, axis=1))
+    draw = random.standard_normal((len(turns), 6))
+    shift = np.sqrt(variances.translation) * draw[:, :3]
+    shift = (so3.exp(0.5 * turns) @ shift[..., None])[..., 0]
+    turns, moves = turns * (1 + scale_errors[1]), moves * (1 + scale_errors[0])
+    true = Pose(so3.exp(turns), (so3.left_jacobian(turns) @ moves[..., None])[..., 0])
+    return true.disturbed(np.hstack([shift, np.sqrt(variances.rotation) * draw[:, 3:]]))
+
+
+def chained_in_space(start: Pose, steps: Pose) -> Pose:
+    """The poses (n + 1) that steps (n) lead to from `start`."""
+    poses = [start]
+    for step in range(len(steps)):
+        poses.append(poses[-1] @ steps[step])
+    return Pose.stack(poses)

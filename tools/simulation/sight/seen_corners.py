@@ -1,10 +1,12 @@
 """Which corners of a target a camera sees: front side, in the picture, nothing in between."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache, lru_cache
 
 import numpy as np
 
+from trigpoint.contract.messages import FaceSighting
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.site.target import Face, Pattern, Target
@@ -14,6 +16,7 @@ from .targets import panel
 PICTURE_MARGIN_PX = 5.0
 # The camera hangs on its own wall: what lies within a centimetre before the eye hides nothing.
 NEAR_M = 0.01
+FEWEST_CORNERS = 6  # of a board that may be seen in part
 STEEPEST_COSINE = 0.26  # of the angle between a face's normal and the line of sight: 75°
 
 
@@ -35,6 +38,25 @@ class SeenFace:
     corners: np.ndarray
     pixels: Array
     smallest_square_px: float
+
+    def is_found(self, smallest_square_px: float) -> bool:
+        """Whether a good detector finds it: a checkerboard only as a whole."""
+        is_whole = self.face.pattern is Pattern.CHECKERBOARD
+        count = self.face.corner_count
+        needed = count if is_whole else min(FEWEST_CORNERS, count)
+        return len(self.corners) >= needed and self.smallest_square_px >= smallest_square_px
+
+    def sighting(self, target: Target, name: str, pixels: Array, sigma: float) -> FaceSighting:
+        """What a detector says of it; `name`: of the target, as `told_name`; `pixels`: (n, 2)."""
+        number = self.face.id if len(target.look_alikes(self.face.appearance)) == 1 else -1
+        return FaceSighting(name, number, self.corners, pixels.astype(np.float32), sigma)
+
+
+def told_name(target: Target, others: Iterable[Target]) -> str:
+    """The target's name, or "" where another one has the same pattern."""
+    own = {face.appearance for face in target.faces}
+    is_shared = any(face.appearance in own for other in others for face in other.faces)
+    return "" if is_shared else target.name
 
 
 def seen_faces(
@@ -82,7 +104,7 @@ def seen_faces_each(
         pixels = model.project(np.where(seen[..., None], points, [0.0, 0.0, 1.0]))
         for row, moment in enumerate(moments.tolist()):
             is_any = np.any(seen[row])
-            square = _smallest_square(face, model.project(points[row])) if is_any else 0.0
+            square = smallest_square(face, model.project(points[row])) if is_any else 0.0
             ids = np.flatnonzero(seen[row]).astype(np.uint16)
             found[moment].append(SeenFace(face, ids, pixels[row, seen[row]], square))
     return found
@@ -139,7 +161,7 @@ def _well_inside(model: CameraModel, points: Array) -> np.ndarray:
     return inside & (v > margin) & (v < model.height - 1 - margin)
 
 
-def _smallest_square(face: Face, pixels: Array) -> float:
+def smallest_square(face: Face, pixels: Array) -> float:
     """The shortest side of a square, or of a tag, in the picture, pixels."""
     if face.pattern is Pattern.APRILGRID:
         tags = pixels.reshape(-1, 4, 2)

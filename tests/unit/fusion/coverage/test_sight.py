@@ -15,7 +15,7 @@ from trigpoint.geometry.rotation import Array
 from trigpoint.site.target import Numbering, Pattern, Target
 from trigpoint.tools.simulation.sight.seen_corners import SeenFace, seen_faces_each
 from trigpoint.tools.simulation.sight.targets import target_of
-from trigpoint.tools.simulation.world import FEWEST_CORNERS, looking
+from trigpoint.tools.simulation.world import looking
 
 LEAST_SIDE_PX = 7.0
 WIDE = CameraModel(
@@ -50,13 +50,6 @@ def eye(lens: CameraModel) -> Eye:
     return Eye("c1", pose, lens, 0.2)
 
 
-def is_found(seen: SeenFace) -> bool:
-    """Whether the lab's detector finds a face."""
-    whole = seen.face.pattern is Pattern.CHECKERBOARD
-    needed = seen.face.corner_count if whole else min(FEWEST_CORNERS, seen.face.corner_count)
-    return len(seen.corners) >= needed and seen.smallest_square_px >= LEAST_SIDE_PX
-
-
 @pytest.mark.parametrize("lens", [BARREL, WIDE], ids=["barrel", "fisheye"])
 @pytest.mark.parametrize(
     "target",
@@ -75,7 +68,7 @@ def test_a_robot_is_seen_where_the_labs_detector_finds_a_face(
     x, y = np.repeat(places, len(turns), axis=0).T
     bases = Pose.planar(x, y, np.tile(turns, len(places)))
     each = seen_faces_each(target, bases, camera.map_from_camera, camera.lens, ())
-    shown = [[face for face in faces if is_found(face)] for faces in each]
+    shown = [[face for face in faces if face.is_found(LEAST_SIDE_PX)] for faces in each]
     truth = np.array([bool(faces) for faces in shown])
     assert 40 < truth.sum() < len(truth) - 40
     # Sheets have a white edge beyond the pattern, which hides a corner or two more.

@@ -11,7 +11,7 @@ from support.fusion.drives import EPOCH_NS, STEP_S, Session, Way, lab_plan, make
 
 from trigpoint.base.clock import NANOSECONDS, to_ns
 from trigpoint.contract import cdr, topics
-from trigpoint.contract.messages import Odometry, PoseStamped, Sightings
+from trigpoint.contract.messages import PoseStamped, Sightings
 from trigpoint.fusion.guidance.candidates import DRIVEN_M, SEEN_M, Ground
 from trigpoint.fusion.guidance.expected_motion import expected_motion
 from trigpoint.fusion.guidance.suggestions import JointCovariance, Options, options, suggestions
@@ -38,16 +38,7 @@ def first_drive(seed: int) -> Session:
 
 
 def fed(session: Session, messages: tuple) -> Pipeline:
-    pipeline = Pipeline(session.inputs, is_live=False)
-    feed(pipeline, messages)
-    return pipeline
-
-
-def feed(pipeline: Pipeline, messages: tuple) -> None:
-    for node, message in messages:
-        pipeline.push(node, message)
-        if isinstance(message, Odometry):
-            pipeline.advance()
+    return Pipeline(session.inputs, is_live=False).replay(messages)
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +123,7 @@ def visited(drive: Drive, map_from_base: Pose, worst: str) -> tuple[float, set[s
                 continue
             seen.add(node)
         messages.append((node, message))
-    feed(pipeline, tuple(messages))
+    pipeline.replay(messages)
     pipeline.finish()
     covariance = pipeline._estimator.cameras()[worst].covariance
     return float(np.sqrt(np.trace(covariance[:3, :3]))), seen

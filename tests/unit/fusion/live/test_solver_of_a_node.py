@@ -4,13 +4,15 @@ import os
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
+import numpy as np
 import pytest
 from support.builders import eventually
-from support.fusion.drives import Session
-from support.fusion.networks import assert_same_places
+from support.fusion.drives import EPOCH_NS, Session
+from support.fusion.networks import apart_sigmas, assert_same_places
 from support.fusion.solvers import SlowSolver, StuckSolver
 
 from trigpoint.base.clock import Clock, SystemClock
@@ -18,8 +20,9 @@ from trigpoint.base.errors import OperationError
 from trigpoint.bus.bus import Publisher
 from trigpoint.contract import cdr
 from trigpoint.contract.messages import Message, Odometry
-from trigpoint.fusion.checkpoint import Checkpoint
+from trigpoint.fusion.checkpoint import PAST, Checkpoint
 from trigpoint.fusion.estimators.results import Results
+from trigpoint.fusion.estimators.smoother.settled_past import Limits
 from trigpoint.fusion.inbox import INPUT_TOPICS
 from trigpoint.fusion.live.solver_messages import News, Report, Reported, Solver
 from trigpoint.fusion.live.solver_process import SolverProcess
@@ -212,3 +215,25 @@ def test_stop_while_a_checkpoint_is_read_leaves_everything_as_it_was(
     assert not fusion.is_resumed
     assert (tmp_path / "network.json").read_text() == "of before"
     assert (tmp_path / "checkpoint.bin").read_bytes() == before
+
+
+@pytest.mark.timeout(PATIENCE_S)
+def test_a_fusion_that_forgot_its_past_goes_on_from_its_summary(
+    charuco: Session, charuco_results: Results, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("trigpoint.fusion.last_solution._LAST_SOLUTION_S", PATIENCE_S)
+    frugal = partial(SlowSolver, limits=Limits(20))
+    stop = next(i for i, m in enumerate(charuco.messages) if m[1].stamp_ns > EPOCH_NS + 20 * 10**9)
+    with running(charuco.inputs, tmp_path, frugal) as (fusion, node, feed):
+        feed(charuco.messages[:stop])
+        until(node, (tmp_path / PAST).exists)
+    fusion.finish()
+    with running(charuco.inputs, tmp_path, frugal) as (fusion, node, feed):
+        until(node, lambda: fusion.is_resumed)
+        feed(charuco.messages[stop:])
+    fusion.finish()
+    network = load_network(tmp_path)
+    assert network.map_id == charuco_results.network.map_id
+    for name, record in charuco_results.network.cameras.items():
+        assert network.cameras[name].sightings == record.sightings
+        np.testing.assert_allclose(apart_sigmas(network.cameras[name], record), 0.0, atol=0.25)

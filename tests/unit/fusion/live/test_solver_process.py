@@ -7,7 +7,6 @@ import numpy as np
 from support.builders import eventually
 from support.fusion.drives import Session
 
-from trigpoint.contract.messages import Odometry
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.live.solver_messages import (
     Finish,
@@ -74,12 +73,7 @@ class Listed:
 def orders_of(session: Session) -> list[Order]:
     """What a solver is told over a session; the last is to finish."""
     listed = Listed()
-    pipeline = Pipeline(session.inputs, solver=listed)
-    for node, message in session.messages:
-        pipeline.push(node, message)
-        if isinstance(message, Odometry):
-            pipeline.advance()
-    pipeline.finish()
+    Pipeline(session.inputs, solver=listed).replay(session.messages).finish()
     return listed.orders
 
 

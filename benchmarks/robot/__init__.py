@@ -1,1 +1,0 @@
-"""The robot bridge: latency from exposure to correction."""
