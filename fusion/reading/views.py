@@ -14,7 +14,7 @@ _REAL, _WHOLE = np.float64, np.int64
 _AT_REST = np.zeros(6)
 
 BODY = (
-    *(In(_REAL, ("f", "c", 3)), In(_WHOLE, ("f",))),
+    *(In(_REAL, ("f", "most", 3)), In(_WHOLE, ("f",))),
     *(In(_REAL, ("f", 12)), In(_REAL, ("f", 4))),
 )
 VIEWS = (
