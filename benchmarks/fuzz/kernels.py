@@ -11,8 +11,11 @@ _PARTS = ("edge", "fusion")
 OBJECTS = {
     "tp_curvature": ("tp_saddles", "tp_grids", "tp_grown"),
     "tp_quad_search": ("tp_quads",),
-    "tp_equations": ("tp_minimised", "tp_reduced", "tp_full_system"),
-    "tp_factor": ("tp_graph_minimum", "tp_factor_covariance"),
+    "tp_equations": (
+        *("tp_minimised", "tp_visit_round", "tp_visit_linear"),
+        *("tp_reduced", "tp_full_system"),
+    ),
+    "tp_factor": ("tp_graph_minimum", "tp_factor_covariance", "tp_agreement"),
     "tp_pattern": ("tp_pattern_set", "tp_pattern_print", "tp_measured"),
 }
 

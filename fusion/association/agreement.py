@@ -7,24 +7,35 @@ import numpy as np
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.uncertainty import lever, turned_axes
+from trigpoint.native.library import In, Kernel, Out
 
+from .factor import Factor
 from .graph import Graph, Place, Placed
+
+_REAL = np.float64
+AGREEMENT = Kernel(
+    "tp_agreement",
+    Factor,
+    *(In(_REAL, (1, 12)), In(np.int64, (6,)), In(_REAL, ("k", 12)), In(_REAL, ("k", 6, 6))),
+    In(_REAL, ("k",)),
+    *(In(_REAL, (1, 12)), In(np.int64, (6,)), In(_REAL, ("m", 12)), In(_REAL, ("m", 6, 6))),
+    *(In(_REAL, ("m",)), In(_REAL, (6, 6)), Out(_REAL, ("k", "m"))),
+)
+_THERE = Pose.identity().rows()
+_EXACTLY, _NO_EVIDENCE = np.zeros((1, 6, 6)), np.zeros(1)
+_APART = np.zeros((6, 6))
 
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """Where the modes (k) of a visit put their camera in the map.
-
-    `by_unknowns` (k, 6, r): the derivative of `pose` (k) by the graph's unknowns in `rows` (r,);
-    `own` (k, 6, 6): the covariance that the modes add to that of these unknowns; `evidence` (k,):
-    of each mode (`Mode.evidence`).
-    """
+    """Where the modes (k) of a visit put their camera in the map: `pose` (k), with the covariance
+    `own` (k, 6, 6) that the modes add to that of the unknowns in `rows` (r,), by which its
+    derivative is `by_unknowns` (k, 6, r)."""
 
     pose: Pose
     by_unknowns: Array
     rows: np.ndarray
     own: Array
-    evidence: Array
 
 
 def agreement(
@@ -32,55 +43,42 @@ def agreement(
     placed: Placed,
     first: int | Place,
     second: int | Place,
-    beside: Array | float = 0.0,
+    beside: Array = _APART,
 ) -> Array:
     """Return, for each pair of modes (k, m), -2 ln of the likelihood that both show one place, or
     two places whose difference has the covariance `beside` (6, 6).
 
     `first`, `second`: the number of a visit, or a place of the graph, which counts as one mode.
+    Raises RuntimeError where nothing determines the two poses.
     """
-    old, new = (
-        seen_by(graph, placed, each) if isinstance(each, int) else _known(placed, each)
-        for each in (first, second)
+    old, new = (_given(graph, placed, each) for each in (first, second))
+    cost = np.empty((len(old[-1]), len(new[-1])))
+    AGREEMENT(placed.factor, *old, *new, beside, cost)
+    return cost
+
+
+def _given(graph: Graph, placed: Placed, which: int | Place) -> tuple[np.ndarray, ...]:
+    """A pose of the graph, its rows (6,), -1 where it is held, and where the modes (k) put the
+    camera from there, with their covariances and evidence."""
+    if not isinstance(which, int):
+        rows = placed.layout.places[which]
+        return placed.places[which].rows(), rows, _THERE, _EXACTLY, _NO_EVIDENCE
+    robot, node = graph.visits[which].visit.robot, graph.node_of[which]
+    rows = np.full(6, -1)
+    rows[graph.paths[robot].tangent] = placed.layout.nodes[robot][node]
+    seen = graph.relative(which)[0].rows()
+    return (
+        *(placed.nodes[robot][node].rows(), rows, seen),
+        *(graph.spread(which), graph.evidence(which)),
     )
-    rows = np.concatenate([old.rows, new.rows])
-    shared = placed.covariance(rows)
-    count, other = len(old.evidence), len(new.evidence)
-    by = np.concatenate(
-        [
-            np.tile(-old.by_unknowns[:, None], (1, other, 1, 1)),
-            np.tile(new.by_unknowns[None], (count, 1, 1, 1)),
-        ],
-        axis=-1,
-    )
-    spread = by @ shared @ np.swapaxes(by, -1, -2) + old.own[:, None] + new.own[None] + beside
-    error = Pose(new.pose.rotation[None], new.pose.translation[None]).difference(
-        Pose(old.pose.rotation[:, None], old.pose.translation[:, None])
-    )
-    pulled = np.linalg.solve(spread, error[..., None])[..., 0]
-    cost = np.sum(error * pulled, axis=-1) + np.linalg.slogdet(spread)[1]
-    return cost + old.evidence[:, None] + new.evidence[None]
 
 
 def seen_by(graph: Graph, placed: Placed, number: int) -> Seen:
     """Return where the modes of a visit put its camera, given the graph's estimate."""
-    visit = graph.visits[number]
-    robot, node = visit.visit.robot, graph.node_of[number]
+    robot, node = graph.visits[number].visit.robot, graph.node_of[number]
     base, tangent = placed.nodes[robot][node], graph.paths[robot].tangent
     pose = base @ graph.relative(number)[0]
     by_base = lever(pose.translation - base.translation)
     turn = turned_axes(base.rotation)
-    evidence = np.array([mode.evidence for mode in visit.modes])
     own = turn @ graph.spread(number) @ turn.T
-    return Seen(pose, by_base[..., tangent], placed.layout.nodes[robot][node], own, evidence)
-
-
-def _known(placed: Placed, place: Place) -> Seen:
-    pose = placed.places[place]
-    return Seen(
-        Pose.stack([pose]),
-        np.eye(6)[None],
-        placed.layout.places[place],
-        np.zeros((1, 6, 6)),
-        np.zeros(1),
-    )
+    return Seen(pose, by_base[..., tangent], placed.layout.nodes[robot][node], own)

@@ -17,30 +17,24 @@ from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.drift import Drift
 from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.model.thinning import thinned
-from trigpoint.fusion.reading.faces import are_same_pose, candidates
-from trigpoint.fusion.reading.visibility import body_of, by_reading, faces_of
+from trigpoint.fusion.reading.faces import are_same_pose
+from trigpoint.fusion.reading.views import BODY, VIEWS, body_tables, patterns, view_tables
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.native.library import In, Kernel, Out
 
 from .events import Events
-from .sightings import alone
 
 _LEAST_VARIANCE = 1e-12
 # Starts come from at most this many sightings, spread over a visit: one of them is taken to be
 # right.
 MOST_SEEDS = 8
 _REAL = np.float64
-_COVARIANCES = Kernel(
-    "tp_pose_covariances",
-    In(_REAL, ("p",)),
-    In(_REAL, ("b", 3, 3)),
-    In(_REAL, ("b", 3)),
-    In(_REAL, ("b", "n", 3)),
-    float,
-    In(_REAL, ("s",)),
-    float,
-    Out(_REAL, ("b", 6, 6)),
+_WAYS = Kernel(
+    "tp_ways",
+    *(In(_REAL, ("p",)), *BODY, In(np.int64, ("f",)), *VIEWS),
+    *(In(_REAL, ("s",)), In(_REAL, (3,))),
+    *(Out(np.int64, ("w",)), Out(_REAL, ("w", 12)), Out(_REAL, ("w", 6, 6)), Out(_REAL, ("w",))),
 )
 _COSTS = Kernel(
     "tp_start_costs",
@@ -102,7 +96,7 @@ def starts_of(
     sightings = [
         (index, order) for index, o in observations.items() for order in range(len(o.views))
     ]
-    ways = _ways(data, observations, sightings)
+    ways = _ways(data, observations)
     if ways is None:
         return []
     there = Pose.stack(list(poses.values()))
@@ -171,64 +165,30 @@ def _wrong(
     }
 
 
-def _ways(
-    data: DataSet, observations: dict[int, Observation], sightings: list[tuple[int, int]]
-) -> Ways | None:
-    row_of = {index: row for row, index in enumerate(observations)}
-    numbers, pictures, shown, covariances, excess = [], [], [], [], []
-    for number, (index, order) in enumerate(sightings):
-        single = alone(observations[index], order)
-        lens = data.lenses[single.camera]
-        found = candidates(single, data.targets[single.robot], lens)
-        if not found:
-            continue
-        (view,) = single.views
-        rms_px = np.array([candidate.rms_px for candidate in found])
-        # Outlying corners or an inexact lens make the fit worse than the corners' stated noise.
-        scale = max(1.0, rms_px[0] / view.sigma)
-        poses = Pose.stack([candidate.camera_from_base for candidate in found])
-        readings = [view.readings.index(candidate.readings[0]) for candidate in found]
-        numbers += [number] * len(found)
-        pictures += [row_of[index]] * len(found)
-        shown.append(poses)
-        covariances.append(_covariances(data, single, poses, readings, scale))
-        chi2 = 2 * len(view.corners) * (rms_px**2 - rms_px[0] ** 2) / view.sigma**2
-        excess.append(chi2 / scale**2)
-    if not shown:
-        return None
-    return Ways(
-        np.array(numbers),
-        np.array(pictures),
-        Pose(
-            np.concatenate([poses.rotation for poses in shown]),
-            np.concatenate([poses.translation for poses in shown]),
-        ),
-        np.concatenate(covariances),
-        np.concatenate(excess),
-    )
-
-
-def _covariances(
-    data: DataSet, single: Observation, poses: Pose, readings: list[int], scale: float
-) -> Array:
-    """Return the covariance (k, 6, 6) of each of the poses (k) that one view shows by its readings
-    (k), due to the corners, which scatter `scale` times as much as stated, the lens, and the
-    mounting of the face."""
-    (view,) = single.views
-    body, config = body_of(data.targets[single.robot]), data.site.cameras[single.camera]
-    lens = data.lenses[single.camera]
+def _ways(data: DataSet, observations: dict[int, Observation]) -> Ways | None:
+    """Return all ways to read each sighting; their covariances are due to the corners, the lens,
+    and the mounting of the faces."""
+    first = next(iter(observations.values()))
+    views = [view for observation in observations.values() for view in observation.views]
+    owner = np.repeat(np.arange(len(observations)), [len(o.views) for o in observations.values()])
+    target, lens = data.targets[first.robot], data.lenses[first.camera]
+    config, fusion = data.site.cameras[first.camera], data.site.fusion
     spread = lens_sigmas(config, lens) if config.estimates_intrinsics else np.zeros(0)
-    covariance = np.empty((len(readings), 6, 6))
-    _COVARIANCES(
-        lens.parameters,
-        *(poses.rotation, poses.translation, by_reading(view, body)[readings]),
-        *(view.sigma, spread, scale, covariance),
+    shift, turn = fusion.target_translation**2, fusion.target_rotation**2
+    tables = view_tables(views)
+    most = 2 * len(tables[-1])
+    sighting, rows = np.empty(most, dtype=np.int64), np.empty((most, 12))
+    covariance, excess = np.empty((most, 6, 6)), np.empty(most)
+    count = _WAYS(
+        *(lens.parameters, *body_tables(target), patterns(target), *tables),
+        *(spread, np.array([shift + _LEAST_VARIANCE, turn + _LEAST_VARIANCE, turn])),
+        *(sighting, rows, covariance, excess),
     )
-    shift, turn = data.site.fusion.target_translation, data.site.fusion.target_rotation
-    arms_m = np.linalg.norm(body.base_from_face.translation, axis=-1)[faces_of(view)[readings]]
-    variances = np.stack([shift**2 + (turn * arms_m) ** 2, np.full(len(readings), turn**2)], axis=1)
-    covariance += np.repeat(variances + _LEAST_VARIANCE, 3, axis=1)[:, None] * np.eye(6)
-    return covariance
+    if count == 0:
+        return None
+    seen = sighting[:count]
+    poses = Pose.from_rows(rows[:count])
+    return Ways(seen, owner[seen], poses, covariance[:count], excess[:count])
 
 
 def _of_pictures(

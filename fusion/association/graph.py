@@ -118,7 +118,10 @@ class Graph:
         self._own_values = [
             np.array([own_values(data, v.visit.camera, mode) for mode in v.modes]) for v in visits
         ]
-        self._covariance = [np.linalg.inv(one)[:, :6, :6] for _, one in self._relative]
+        self._covariance = [
+            np.ascontiguousarray(np.linalg.inv(one)[:, :6, :6]) for _, one in self._relative
+        ]
+        self._evidence = [np.array([mode.evidence for mode in v.modes]) for v in visits]
         self.own_prior = {
             camera: prior
             for camera in dict.fromkeys(v.visit.camera for v in visits)
@@ -223,6 +226,10 @@ class Graph:
         """Return the covariance (k, 6, 6), in the robot's axes, of the camera's pose by each mode
         of a visit."""
         return self._covariance[number]
+
+    def evidence(self, number: int) -> Array:
+        """Return the evidence (k,) of each mode of a visit (`Mode.evidence`)."""
+        return self._evidence[number]
 
     def known_information(self, order: int) -> Array:
         """Return the marginal information (6, 6) of one camera that is known from before."""

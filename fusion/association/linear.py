@@ -1,25 +1,22 @@
 """A visit linearised: where each part of its pictures by itself puts the robot."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Self
 
 import msgspec
 import numpy as np
 
-from trigpoint.fusion.model.assembly import Assembled
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.odometry import PARTS
-from trigpoint.fusion.model.prediction import batch_jacobians, odometry_terms
 from trigpoint.fusion.model.problem import Batch, Chain, Problem
 from trigpoint.geometry.rotation import Array
-from trigpoint.native.library import In
+from trigpoint.native.library import In, Kernel, Out
 
-_EXACT = 1e-9
+from .trial import GIVEN, Trial, Work
+
 HELD = 1e-6
 """Sigma (m, rad, s, and of scales) of what is known exactly: far below what any sighting resolves,
 but not so small that next to a gap in odometry it is lost in a float's rounding."""
-# A pose is not determined if the least eigenvalue of its scaled information is below this.
-_FLAT = 1e-12
 _REAL = np.float64
 EQUATIONS = (
     *(In(_REAL, ("n", 6)), In(_REAL, ("n", 6, 6)), In(np.int64, ("n",))),
@@ -28,6 +25,14 @@ EQUATIONS = (
     *(In(_REAL, ("m", "d", "q")), In(_REAL, ("q",))),
 )
 """Of a visit, as the core's kernels take them first."""
+_LINEARISED = Kernel(
+    "tp_visit_linear",
+    *(*GIVEN, int, Out(np.int64, ("parts",)), Out(np.int64, ("parts",))),
+    *(Out(_REAL, ("parts", 6)), Out(_REAL, ("parts", 6, 6))),
+    *(Out(_REAL, ("parts", 6, "robot")), Out(_REAL, ("parts", 6, "others"))),
+    *(Out(_REAL, ("steps", "robot")), Out(_REAL, ("steps", "robot", "robot"))),
+    *(Out(_REAL, ("steps", "robot", "robot")), Out(_REAL, ("steps", "robot", "others"))),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,70 +96,50 @@ class _Columns:
         return [self.every.index(column) for column in columns.tolist()]
 
 
-def linearised(
-    data: DataSet, assembled: Assembled, batch: Batch, parts: list[tuple[int, slice | None]]
-) -> Linear | None:
-    """Linearise a problem of one batch about its start; None if fewer than two parts are left or
-    the robot stood still.
+def linearised(trial: Trial, *, by_pictures: bool) -> Linear | None:
+    """Linearise a visit about where a trial stands; None if fewer than two parts are left or the
+    robot stood still.
 
-    `parts`: for each a row of the batch and which of its corners, None for all; those that
-    determine no pose are left out.
+    The parts are the pictures, without what is wrong or wild in them, or the views that are not
+    wrong, each without what is wild of it by itself; those that determine no pose are left out.
     """
-    problem, state = assembled.problem, assembled.start
-    chain = problem.chains[batch.robot]
+    pictures, problem = trial.pictures, trial.tables.assembled.problem
+    (batch,) = problem.batches
+    chain = problem.chains[pictures.robot]
     if chain.motion is None:
         return None
-    columns, d, nodes = _Columns.of(problem, batch), len(chain.tangent), len(chain) - 1
-    jacobian, residual, names, by_base = batch_jacobians(problem, batch, state)
-    rows = [row for row, _ in parts]
-    is_asked = np.zeros((len(parts), residual.shape[1], 1, 1))
-    for asked, (_, part) in zip(is_asked, parts, strict=True):
-        asked[part or slice(None)] = 1.0
-    across = np.swapaxes((is_asked * by_base[rows]).reshape(len(parts), -1, 6), 1, 2)
-    covariance, is_determined = _inverses(across @ np.swapaxes(across, 1, 2))
-    kept = np.flatnonzero(is_determined)
-    if len(kept) < 2:
+    columns = _Columns.of(problem, batch)
+    d, q, steps = len(chain.tangent), len(columns.every), len(chain) - 1
+    most = len(pictures.observations if by_pictures else pictures.views)
+    parts, nodes = np.empty(most, dtype=np.int64), np.empty(most, dtype=np.int64)
+    of_parts = [np.empty((most, 6, *shape)) for shape in ((), (6,), (d,), (q,))]
+    of_steps = [np.empty((steps, d, *shape)) for shape in ((), (d,), (d,), (q,))]
+    given = trial.given(Work(0))
+    kept = _LINEARISED(*given, by_pictures, parts, nodes, *of_parts, *of_steps)
+    if kept < 2:
         return None
-    own, reduced = covariance[kept], covariance[kept] @ across[kept]
-    by = reduced @ jacobian[rows].reshape(len(parts), -1, jacobian.shape[-1])[kept]
-    shifts = -(reduced @ residual[rows].reshape(len(parts), -1, 1)[kept])[..., 0]
-    at = batch.nodes[rows][kept]
-    by_others = np.zeros((len(kept), 6, len(columns.every)))
-    by_others[..., columns.at(names)] = by[..., d:]
-    # The covariances of the steps vary with the noise, so they are left apart.
-    unit = replace(chain.motion, covariance=np.tile(np.eye(6), (nodes, 1, 1)))
-    poses = state.robots[batch.robot].map_from_base
-    terms = odometry_terms(poses[:-1], poses[1:], unit, chain.tangent)
-    steps_by_others = np.zeros((nodes, d, len(columns.every)))
-    scales = problem.layout.scales_of(batch.robot)
-    steps_by_others[..., columns.at(scales)] = terms.by_scale[..., : len(scales)]
-    free = np.ix_(range(nodes), chain.tangent, chain.tangent)
+    shifts, own, by_robot, by_others = (each[:kept] for each in of_parts)
+    moved, by_earlier, by_later, moved_by_others = of_steps
+    nodes = nodes[:kept]
+    by_odometry, by_slip = _step_covariances(pictures.data, chain)
     return Linear(
-        shifts,
-        own,
-        at,
-        np.ascontiguousarray(by[..., :d]),
-        by_others,
-        kept.tolist(),
-        poses.translation[at],
-        -terms.residual,
-        terms.by_earlier,
-        terms.by_later,
-        steps_by_others,
-        chain.motion.covariance[free],
-        *_step_covariances(data, chain),
-        np.zeros((nodes, d, d)),
-        _prior(problem, batch, columns),
+        shifts=shifts,
+        own=own,
+        nodes=nodes,
+        by_robot=by_robot,
+        by_others=by_others,
+        parts=parts[:kept].tolist(),
+        places=trial.state.robots[pictures.robot].map_from_base.translation[nodes],
+        steps=moved,
+        by_earlier=by_earlier,
+        by_later=by_later,
+        steps_by_others=moved_by_others,
+        spread=chain.motion.covariance[np.ix_(range(steps), chain.tangent, chain.tangent)],
+        by_odometry=by_odometry,
+        by_slip=by_slip,
+        broken=np.zeros((steps, d, d)),
+        prior=_prior(problem, batch, columns),
     )
-
-
-def _inverses(information: Array) -> tuple[Array, np.ndarray]:
-    """The covariances (n, 6, 6) of poses by their information, and which are determined (n,)."""
-    diagonal = np.diagonal(information, axis1=1, axis2=2)
-    scale = 1 / np.sqrt(np.maximum(diagonal, _EXACT))
-    values, vectors = np.linalg.eigh(information * scale[:, :, None] * scale[:, None])
-    root = scale[:, :, None] * vectors / np.sqrt(np.maximum(values, _FLAT))[:, None]
-    return root @ np.swapaxes(root, 1, 2), values[:, 0] >= _FLAT
 
 
 def unknowns_of(problem: Problem, camera: str) -> np.ndarray:

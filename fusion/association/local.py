@@ -1,44 +1,32 @@
 """Solves one visit by itself: finds every pose of its camera relative to the robot that the
 visit's pictures and the odometry between them allow."""
 
-from collections.abc import Iterator
-from dataclasses import replace
-from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 from scipy.linalg import LinAlgError
 
-from trigpoint.fusion.model.assembly import Assembled, assemble, reassemble
-from trigpoint.fusion.model.dataset import DataSet, Entry
+from trigpoint.fusion.model.assembly import Assembled
+from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.gates import HUBER_SIGMAS
-from trigpoint.fusion.model.observations import Observation, Verdict
-from trigpoint.fusion.model.prediction import (
-    base_jacobian,
-    batch_jacobians,
-    batch_residual,
-)
-from trigpoint.fusion.model.problem import Batch, CameraState, Problem, State
+from trigpoint.fusion.model.observations import Observation
+from trigpoint.fusion.model.problem import CameraState, Problem, State
 from trigpoint.fusion.solver.equations import System
-from trigpoint.fusion.solver.levenberg_marquardt import Minimum, minimise
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.uncertainty import symmetric
 
 from .budget import Budget
 from .events import Events
-from .innovation import Linearised, judged
 from .linear import Linear, linearised, log_priors, unknowns_of
 from .masks import likeliest_wrong
 from .mode import Mode
-from .sightings import wild_corners
-from .trial import Trial
+from .trial import Ending, Pictures, Trial, Work
 
 _MOST_ROUNDS = 10
 _PATIENCE = 2
-# The iteration ends at a step that promises to lower χ² by less than this, which is far below what
-# any decision depends on.
-_TOLERANCE = 0.03
-_MOST_STEPS = 12
+_ROUND = Work.READ | Work.SOLVE | Work.JUDGE
+Flag = TypeVar("Flag")
 
 
 class LocalProblem:
@@ -57,15 +45,13 @@ class LocalProblem:
         events: Events,
         budget: Budget | None = None,
     ) -> None:
-        self.data, self.observations, self.poses = data, observations, poses
-        self.wrong_scores, self.events = wrong_scores, events
+        self.data, self.observations, self.events = data, observations, events
+        self.poses = Pose.stack([poses[index] for index in observations])
+        self.wrong_scores = wrong_scores
         self.budget = budget if budget is not None else Budget()
         self._corners = sum(observation.corner_count for observation in observations.values())
-        first = next(iter(observations.values()))
-        self.camera, self.robot = first.camera, first.robot
-        self.target = data.targets[self.robot]
-        self._robots = data.first_state().robots
-        self._assembled_before: Assembled | None = None
+        self._pictures = Pictures(data, list(observations.values()), events)
+        self.camera, self.robot = self._pictures.camera, self._pictures.robot
 
     def mode_near(
         self,
@@ -78,200 +64,87 @@ class LocalProblem:
         `wrong`: by index, which views are taken as wrong at the start; `most_wrong`: the search is
         given up where more views than this are still wrong after `_PATIENCE` rounds.
         """
-        trial = Trial({index: list(row) for index, row in wrong.items()}, dict(self.poses))
-        camera, seen, settled = start, set[tuple[object, ...]](), None
+        trial = Trial(self._pictures, start, self.poses, self._flags(wrong))
+        seen, is_settled = set[tuple[bytes, ...]](), False
         for round_ in range(_MOST_ROUNDS):
-            trial.read(self.observations, self.target, camera)
-            if trial.is_all_wrong:
+            if round_ == 0:
+                ending = self._gone_on(trial, _ROUND | Work.ROBUST, huber=HUBER_SIGMAS)
+            else:
+                ending = self._gone_on(trial, _ROUND)
+            if ending is Ending.NOTHING_FITS:
                 return None
-            is_first = round_ == 0
-            solved = self._solved(trial, camera, huber=HUBER_SIGMAS if is_first else np.inf)
-            if solved is None:
+            if most_wrong is not None and round_ >= _PATIENCE and trial.wrong.sum() > most_wrong:
                 return None
-            camera, read = solved.state.cameras[self.camera], trial.signature
-            self._move(trial, solved)
-            self._judge(trial, solved, is_robust=is_first)
-            if most_wrong is not None and round_ >= _PATIENCE and trial.wrong_count > most_wrong:
-                return None
-            signature = trial.signature
-            settled = solved if signature == read and not is_first else None
-            if signature in seen:
+            is_settled = ending is Ending.JUDGED_SAME and round_ > 0
+            if trial.signature in seen:
                 break
-            seen.add(signature)
-        return self._mode(trial, settled or self._solved(trial, camera, huber=np.inf))
+            seen.add(trial.signature)
+        if not is_settled and self._gone_on(trial, Work.SOLVE) is Ending.NOTHING_FITS:
+            return None
+        return self._mode(trial)
 
-    # -- the solution -----------------------------------------------------------------------------
+    def _gone_on(self, trial: Trial, work: Work, *, huber: float = np.inf) -> Ending:
+        ending = trial.round(work, huber=huber)
+        if trial.iterations:
+            self.budget.spend_solving(steps=trial.iterations, corners=self._corners)
+        return ending
 
-    def _solved(self, trial: Trial, camera: CameraState, *, huber: float) -> "_Solved | None":
-        assembled = self._assembled(trial, camera)
-        try:
-            found = minimise(
-                assembled.problem,
-                assembled.start,
-                huber=huber,
-                tolerance=_TOLERANCE,
-                most_iterations=_MOST_STEPS,
-            )
-        except LinAlgError:
-            return None  # at a state where an unknown is not determined
-        self.budget.spend_solving(steps=found.iterations, corners=self._corners)
-        return _Solved(assembled, found) if np.isfinite(found.cost) else None
+    def _flags(self, wrong: dict[int, tuple[bool, ...]]) -> np.ndarray:
+        """Which views (v,) are wrong, by what is so by index; none of a picture that is left
+        out."""
+        rows = [wrong.get(i, (False,) * len(o.views)) for i, o in self.observations.items()]
+        return np.array([flag for row in rows for flag in row], dtype=bool)
 
-    def _assembled(self, trial: Trial, camera: CameraState) -> Assembled:
-        entries = []
-        for index, observation in self.observations.items():
-            outliers = tuple(
-                np.ones_like(wild) if wrong else wild
-                for wrong, wild in zip(trial.wrong[index], trial.wild[index], strict=True)
-            )
-            chosen = tuple(trial.readings[index])
-            read = replace(observation, chosen=chosen, outliers=outliers)
-            entries.append(Entry(read.judged(Verdict.ACCEPTED), trial.poses[index]))
-        small = replace(self.data, entries=entries)
-        state, before = State({self.camera: camera}, self._robots), self._assembled_before
-        # Where a picture's node lies depends on the clock alone.
-        if before is not None and before.start.cameras[self.camera].clock == camera.clock:
-            return reassemble(before, small, state)
-        self._assembled_before = assemble(small, state, list(range(len(entries))), anchored=False)
-        return self._assembled_before
-
-    def _move(self, trial: Trial, solved: "_Solved") -> None:
-        robot = solved.state.robots[self.robot]
-        indices = list(self.observations)
-        for order, node in solved.assembled.node_of.items():
-            trial.poses[indices[order]] = robot.map_from_base[node]
-        if solved.assembled.problem.priors.faces:
-            trial.faces = robot.base_from_face
-
-    # -- what is wrong ----------------------------------------------------------------------------
-
-    def _judge(self, trial: Trial, solved: "_Solved", *, is_robust: bool) -> None:
-        """Mark the wild corners, and the sightings that are likelier wrong, or right, than taken.
-
-        `is_robust`: the state minimises the robust cost; only the worst sighting is then sure to be
-        wrong.
-        """
-        try:
-            system = solved.system
-        except LinAlgError:
-            return
-        assembled, state = solved.assembled, solved.state
-        (batch,) = assembled.problem.batches
-        whole = replace(batch, weights=self._weights(batch))
-        jacobian, residual, columns, by_base = batch_jacobians(assembled.problem, whole, state)
-        nodes = [system.node_rows(self.robot, int(node)) for node in batch.nodes]
-        rows = np.array([np.concatenate([node, system.dense_row + columns]) for node in nodes])
-        parts = list(self._parts())
-        # What is left of the way to the minimum is negligible beside the noise, but not beside the
-        # residual of a sighting that nearly alone determines an unknown.
-        gains, wild = judged(
-            Linearised(
-                by_base, residual, jacobian, rows, system.step, system.covariance, batch.jitter
-            ),
-            np.array([(row, part.start, part.stop) for row, *_, part in parts]),
-            np.array([trial.wrong[index][order] for _, index, order, _ in parts]),
-            self.events,
-            way=0.0 if is_robust else 1.0,
-            rest=_TOLERANCE if is_robust else 0.0,
-        )
-        excess: dict[bool, list[tuple[float, int, int]]] = {False: [], True: []}
-        for (row, index, order, part), gain in zip(parts, gains.tolist(), strict=True):
-            trial.wild[index][order] = wild[row, part]
-            excess[trial.wrong[index][order]].append((gain, index, order))
-        most = max((gain for gain, *_ in excess[False]), default=0.0)
-        taken = set[int]()
-        for gain, index, order in sorted(excess[False], reverse=True):
-            # Of two sightings that contradict each other in one picture, the other may be right.
-            if gain > 0 and gain >= (most if is_robust else most / 2) and index not in taken:
-                trial.wrong[index][order] = True
-                taken.add(index)
-        if most > 0:
-            return
-        for gain, index, order in excess[True]:
-            if gain < 0 and (index, order) not in trial.hidden:
-                trial.wrong[index][order] = False
-
-    def _parts(self) -> Iterator[tuple[int, int, int, slice]]:
-        """For each view: its picture's row and index, and its own order and corners therein."""
-        for row, (index, observation) in enumerate(self.observations.items()):
-            for order, part in enumerate(observation.parts):
-                yield row, index, order, part
-
-    def _wild(self, by_base: Array, residual: Array) -> list[np.ndarray]:
-        """Flags of the wild corners of each view."""
-        parts = [(by_base[row, part], residual[row, part]) for row, _, _, part in self._parts()]
-        return wild_corners(parts, self.events.wild_score)
-
-    def _weights(self, batch: Batch) -> Array:
-        """1/sigma of every corner (n, K), including those that are left out."""
-        weights = np.zeros_like(batch.weights)
-        for row, observation in enumerate(self.observations.values()):
-            weights[row, : observation.corner_count] = 1 / observation.sigmas
-        return weights
+    def _by_index(self, flags: list[Flag]) -> dict[int, tuple[Flag, ...]]:
+        """What is said of each view, by index of its picture."""
+        ends = self._pictures.ends
+        parts = zip(self.observations, [0, *ends[:-1]], ends, strict=True)
+        return {index: tuple(flags[start:end]) for index, start, end in parts}
 
     # -- to first order ---------------------------------------------------------------------------
 
     def residuals(self, mode: Mode) -> Linear | None:
         """The visit linearised about a mode, with each picture as one part and without what the
         mode has as wrong; None where that tells nothing about the noise."""
-        readings = {
-            index: [
-                reading if reading is not None else view.readings[0]
-                for reading, view in zip(mode.readings[index], observation.views, strict=True)
-            ]
-            for index, observation in self.observations.items()
-        }
-        wrong = {index: [r is None for r in row] for index, row in mode.readings.items()}
-        wild = {index: list(row) for index, row in mode.wild.items()}
-        assembled = self._assembled(Trial(wrong, dict(mode.poses), readings, wild), mode.camera)
-        (batch,) = assembled.problem.batches
-        return linearised(
-            self.data, assembled, batch, [(row, None) for row in range(len(batch.nodes))]
-        )
+        views = self._pictures.views
+        readings = [reading for row in mode.readings.values() for reading in row]
+        wrong = np.array([reading is None for reading in readings])
+        trial = Trial(self._pictures, mode.camera, self._stood(mode), wrong)
+        chosen = zip(views, readings, strict=True)
+        trial.chosen[:] = [view.readings.index(r) if r is not None else 0 for view, r in chosen]
+        trial.wild[:] = np.concatenate([wild for row in mode.wild.values() for wild in row])
+        return linearised(trial, by_pictures=True)
 
     def likeliest_wrong(self, mode: Mode) -> list[dict[int, tuple[bool, ...]]]:
         """The likeliest sets of wrong sightings, best first, by the visit linearised about a mode.
         Judged one after the other they would never be found, since several agree by chance."""
-        trial = Trial({}, dict(mode.poses))
-        trial.read(self.observations, self.target, mode.camera)
-        assembled = self._assembled(trial, mode.camera)
-        (batch,) = assembled.problem.batches
-        shown = [each for each in self._parts() if not trial.wrong[each[1]][each[2]]]
-        parts: list[tuple[int, slice | None]] = [(row, part) for row, _, _, part in shown]
-        linear = linearised(self.data, assembled, self._tame(assembled, batch), parts)
+        trial = Trial(self._pictures, mode.camera, self._stood(mode), self._flags({}))
+        if trial.round(Work.READ) is Ending.NOTHING_FITS:
+            return []
+        linear = linearised(trial, by_pictures=False)
         if linear is None:
             return []
         self.budget.spend_filtering(parts=len(linear.parts), unknowns=len(linear.prior))
         found = []
         for flags in likeliest_wrong(linear, self.data.jitter.get(self.robot), self.events):
-            wrong = {index: [True] * len(o.views) for index, o in self.observations.items()}
-            for number, is_wrong in zip(linear.parts, flags, strict=True):
-                _, index, order, _ = shown[number]
-                wrong[index][order] = is_wrong
-            found.append({index: tuple(row) for index, row in wrong.items()})
+            wrong = np.ones(len(trial.wrong), dtype=bool)
+            wrong[linear.parts] = flags
+            found.append(self._by_index(wrong.tolist()))
         return found
 
-    def _tame(self, assembled: Assembled, batch: Batch) -> Batch:
-        """The batch without the corners that each sighting by itself shows to be wild."""
-        whole = replace(batch, weights=self._weights(batch))
-        state = assembled.start
-        residual = batch_residual(whole, state)
-        by_base = base_jacobian(whole, state)
-        weights = whole.weights.copy()
-        wild = self._wild(by_base, residual)
-        for (row, _, _, part), flags in zip(self._parts(), wild, strict=True):
-            weights[row, part] *= ~flags
-        return replace(batch, weights=weights)
+    def _stood(self, mode: Mode) -> Pose:
+        return Pose.stack([mode.poses[index] for index in self.observations])
 
     # -- the result -------------------------------------------------------------------------------
 
-    def _mode(self, trial: Trial, solved: "_Solved | None") -> Mode | None:
-        if solved is None or trial.is_all_wrong:
+    def _mode(self, trial: Trial) -> Mode | None:
+        """The mode that a trial ended at; None where nothing determines it."""
+        if trial.wrong.all():
             return None
-        self._move(trial, solved)
-        assembled, state, problem = solved.assembled, solved.state, solved.assembled.problem
+        assembled, state = trial.tables.assembled, trial.state
+        problem, robot = assembled.problem, state.robots[self.robot]
         try:
-            system = solved.system
+            system = trial.equations.system()
         except LinAlgError:
             return None
         rows = system.dense_row + unknowns_of(problem, self.camera)
@@ -280,24 +153,21 @@ class LocalProblem:
         score = system.cost + system.log_determinant - float(np.linalg.slogdet(information)[1])
         own, others = log_priors(problem, self.camera, self.robot)
         score += self._odometry_score(assembled) + self._left_out_score(trial) - others
+        chosen = zip(self._pictures.views, trial.chosen.tolist(), trial.wrong.tolist(), strict=True)
+        readings = [None if wrong else view.readings[number] for view, number, wrong in chosen]
+        wild = self._pictures.split(trial.wild.copy())
         return Mode(
             state.cameras[self.camera],
             symmetric(information),
             own,
             score,
-            {
-                index: tuple(
-                    None if wrong else reading
-                    for reading, wrong in zip(row, trial.wrong[index], strict=True)
-                )
-                for index, row in trial.readings.items()
-            },
-            {index: tuple(row) for index, row in trial.wild.items()},
-            dict(trial.poses),
+            self._by_index(readings),
+            self._by_index(wild),
+            {index: trial.poses[row] for row, index in enumerate(self.observations)},
             self._poses_covariance(assembled, system),
             self._early_s(assembled),
             self._scales(problem, state, system),
-            trial.faces,
+            robot.base_from_face if problem.priors.faces else None,
         )
 
     def _poses_covariance(self, assembled: Assembled, system: System) -> Array:
@@ -328,24 +198,6 @@ class LocalProblem:
         return float(np.sum(np.linalg.slogdet(chain.motion.covariance[free])[1]))
 
     def _left_out_score(self, trial: Trial) -> float:
-        score = 0.0
-        for index, observation in self.observations.items():
-            for order in range(len(observation.views)):
-                if trial.wrong[index][order]:
-                    score += self.wrong_scores[index][order]
-                else:
-                    score += self.events.wild_score * int(trial.wild[index][order].sum())
-        return score
-
-
-class _Solved:
-    """A visit's problem and `state` at a minimum."""
-
-    def __init__(self, assembled: Assembled, found: Minimum) -> None:
-        self.assembled, self.state = assembled, found.state
-        self._equations = found.equations
-
-    @cached_property
-    def system(self) -> System:
-        """The full normal equations; raise LinAlgError where an unknown is not determined."""
-        return self._equations.system()
+        scores = [score for index in self.observations for score in self.wrong_scores[index]]
+        wild = np.array([flags.sum() for flags in self._pictures.split(trial.wild)])
+        return float(np.where(trial.wrong, scores, self.events.wild_score * wild).sum())

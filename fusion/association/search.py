@@ -57,7 +57,8 @@ class Search:
         self.visits, self.is_cut = graph.visits, False
         self.told = ToldMoves(graph)
         self._open_score = [
-            _log_sum([mode.evidence for mode in v.modes]) + events.pose_score for v in self.visits
+            _log_sum(graph.evidence(number).tolist()) + events.pose_score
+            for number in range(len(self.visits))
         ]
 
     def explained(
@@ -141,7 +142,7 @@ class Search:
         apart = _log_sum(cost.reshape(-1).tolist())
         for each in (earlier, later):
             if isinstance(each, int):
-                apart -= _log_sum([mode.evidence for mode in self.visits[each].modes])
+                apart -= self._open_score[each] - self.events.pose_score
         return self.events.moved(apart)
 
     def happened(self, hypothesis: Hypothesis) -> int:

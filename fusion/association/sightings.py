@@ -2,7 +2,6 @@
 score if it is wrong."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -150,12 +149,6 @@ def _fits(
         *(scores, chi2, wild),
     )
     return list(zip(scores.tolist(), chi2, wild, strict=True))
-
-
-def wild_corners(sightings: Sequence[tuple[Array, Array]], limit: float) -> list[np.ndarray]:
-    """Flags (n,) of each sighting's wild corners, from its derivatives (n, 2, 6) and residuals
-    (n, 2)."""
-    return [all_without_wild(by[None], left[None], limit)[1][0] for by, left in sightings]
 
 
 def all_without_wild(by_pose: Array, residual: Array, limit: float) -> tuple[Array, np.ndarray]:

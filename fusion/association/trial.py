@@ -1,92 +1,215 @@
-"""The current interpretation of a visit, on the way to one of its modes."""
+"""A visit on the way to one of its modes: how each of its sightings is read, which are wrong, and
+the problem that these make, all of which the core changes round by round (`visit.cpp`)."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
+from enum import IntEnum, IntFlag
 
 import numpy as np
 
-from trigpoint.fusion.model.observations import Observation, Reading
-from trigpoint.fusion.model.problem import CameraState
-from trigpoint.fusion.reading.best_readings import read_where_they_are
-from trigpoint.fusion.reading.faces import readings_rms_px
-from trigpoint.fusion.reading.visibility import body_of
-from trigpoint.geometry import CameraModel, Pose
-from trigpoint.site.target import Target
+from trigpoint.fusion.model.assembly import Assembled, assemble
+from trigpoint.fusion.model.dataset import DataSet, Entry
+from trigpoint.fusion.model.observations import Observation, Verdict, View, moving
+from trigpoint.fusion.model.problem import CameraState, RobotState, State, true_times_ns
+from trigpoint.fusion.reading.views import BODY, VIEWS, body_tables, view_tables
+from trigpoint.fusion.solver.equations import EXACT, Equations, EquationsHandle
+from trigpoint.fusion.solver.tables import PROBLEM, STATE, problem_tables, state_of, state_tables
+from trigpoint.geometry import Pose
+from trigpoint.native.library import In, Kernel, Out
 
-Readings = tuple[tuple[Reading, ...], list[float]]
+from .events import Events
+
+# The iteration ends at a step that promises to lower χ² by less than this, which is far below what
+# any decision depends on.
+_TOLERANCE = 0.03
+_MOST_STEPS = 12
+# Of how many clocks a visit's tables are kept: each round of an estimated one ends with another.
+_MOST_KEPT = 4
+# Of `PROBLEM`: the robot's deviations in pictures; what a round writes, the corners' faces, points
+# and weights.
+_DEVIATIONS, _WRITTEN = 10, (11, 12, 14)
+_REAL, _WHOLE, _FLAG = np.float64, np.int64, np.bool_
+GIVEN = (
+    *(EquationsHandle, *STATE),
+    *(Out(p.dtype, p.shape) if i in _WRITTEN and isinstance(p, In) else p
+      for i, p in enumerate(PROBLEM)),
+    *(float, float, float, int, Out(_REAL, (4,))),
+    *(*BODY, *VIEWS, In(_WHOLE, ("views",)), In(_WHOLE, ("views",))),
+    *(Out(_WHOLE, ("views",)), Out(_FLAG, ("views",)), Out(_FLAG, ("views",))),
+    *(Out(_FLAG, ("corners",)), In(_REAL, (6,)), In(_REAL, (4,)), int),
+)  # fmt: skip
+"""What the core is given of a trial: `Given` and `Rest` of `visit.cpp`."""
+_ROUND = Kernel("tp_visit_round", *GIVEN)
 
 
-@dataclass(slots=True)
-class Trial:
-    """How each picture is currently read, and which of its views are taken to be wrong. `hidden`:
-    views that could not be seen by any reading, whose linearisation is meaningless; `faces`:
-    base_from_face of all faces as last solved, where they are estimated."""
+class Work(IntFlag):
+    """What a round does: reads each view as it fits best where camera and robot are; solves;
+    judges what is wrong, about a minimum of the robust cost where it is `ROBUST`."""
 
-    wrong: dict[int, list[bool]]
-    poses: dict[int, Pose]
-    readings: dict[int, list[Reading]] = field(default_factory=dict)
-    wild: dict[int, list[np.ndarray]] = field(default_factory=dict)
-    hidden: set[tuple[int, int]] = field(default_factory=set)
-    faces: Pose | None = None
+    READ = 1
+    SOLVE = 2
+    JUDGE = 4
+    ROBUST = 8
 
-    @property
-    def is_all_wrong(self) -> bool:
-        """Whether no view is right."""
-        return all(all(row) for row in self.wrong.values())
 
-    @property
-    def wrong_count(self) -> int:
-        """How many views are wrong."""
-        return sum(sum(row) for row in self.wrong.values())
+class Ending(IntEnum):
+    """How a round ends: nothing fits, or all is judged as before it, or otherwise."""
 
-    @property
-    def signature(self) -> tuple[object, ...]:
-        """All that its solution depends on, except where the solver starts."""
-        return (
-            tuple((index, tuple(row)) for index, row in self.readings.items()),
-            tuple(tuple(row) for row in self.wrong.values()),
-            tuple(wild.tobytes() for row in self.wild.values() for wild in row),
+    NOTHING_FITS = 0
+    JUDGED_SAME = 1
+    JUDGED_OTHERWISE = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Tables:
+    """A visit's problem with one clock: `node_of` (p,): each picture's node; `problem` and `views`:
+    as the core takes them; `rows` (v,): where each view's corners begin in the problem's."""
+
+    assembled: Assembled
+    node_of: np.ndarray
+    problem: tuple[np.ndarray | int, ...]
+    views: tuple[np.ndarray, ...]
+    rows: np.ndarray
+
+
+class Pictures:
+    """A visit's pictures (p) of one robot by one camera, in order, and the views (v) in them.
+
+    `picture_of` (v,): which one a view is in; `ends`: where each one's views end.
+    """
+
+    def __init__(self, data: DataSet, observations: list[Observation], events: Events) -> None:
+        self.data, self.observations = data, observations
+        self.camera, self.robot = observations[0].camera, observations[0].robot
+        self.target, self.robots = data.targets[self.robot], data.first_state().robots
+        counts = [len(observation.views) for observation in observations]
+        self.picture_of = np.repeat(np.arange(len(counts)), counts)
+        self.ends = np.cumsum(counts).tolist()
+        self.views = [view for observation in observations for view in observation.views]
+        self.corner_count = sum(len(view.corners) for view in self.views)
+        self.jitter = data.jitter.get(self.robot)
+        self.limits = np.array(
+            [events.wild_score, events.wrong_limit, events.pose_score, events.sighting_gate]
+        )
+        self.room = events.room_variances
+        self._tables: dict[tuple[float, float], Tables] = {}
+
+    def split(self, flags: np.ndarray) -> list[np.ndarray]:
+        """What is said of all corners, by view."""
+        return np.split(flags, np.cumsum([len(view.corners) for view in self.views])[:-1])
+
+    def tables(self, camera: CameraState, poses: Pose) -> Tables:
+        """The problem with a camera's clock; `poses` (p): where the robot may be."""
+        found = self._tables.pop(camera.clock, None) or self._assembled(camera, poses)
+        self._tables[camera.clock] = found  # the last one used is the last
+        if len(self._tables) > _MOST_KEPT:
+            del self._tables[next(iter(self._tables))]
+        return found
+
+    def _assembled(self, camera: CameraState, poses: Pose) -> Tables:
+        entries = []
+        for row, observation in enumerate(self.observations):
+            some = observation.read_as(tuple(view.readings[0] for view in observation.views))
+            entries.append(Entry(some.judged(Verdict.ACCEPTED), poses[row]))
+        small, state = (
+            replace(self.data, entries=entries),
+            State({self.camera: camera}, self.robots),
+        )
+        assembled = assemble(small, state, list(range(len(entries))), anchored=False)
+        node_of = np.array([assembled.node_of[row] for row in range(len(entries))])
+        (batch,) = assembled.problem.batches
+        widths = np.array([len(view.corners) for view in self.views])
+        before = np.cumsum(widths) - widths
+        first = before[np.searchsorted(self.picture_of, np.arange(len(entries)))]
+        rows = batch.weights.shape[1] * self.picture_of + before - first[self.picture_of]
+        return Tables(
+            assembled,
+            node_of,
+            problem_tables(assembled.problem, assembled.start),
+            view_tables(self._moving(camera)),
+            rows,
         )
 
-    def read(
-        self, observations: Mapping[int, Observation], target: Target, camera: CameraState
+    def _moving(self, camera: CameraState) -> list[View]:
+        """The views of a robot that moves as odometry says when each is taken."""
+        stamps_ns = np.array([observation.stamp_ns for observation in self.observations])
+        times_ns = true_times_ns(stamps_ns, camera.offset_s(self.data.since_epoch_s(stamps_ns)))
+        track, scales = self.data.tracks[self.robot], self.robots[self.robot].scales
+        moved = moving(self.observations, track, times_ns, scales)
+        return [view for observation in moved for view in observation.views]
+
+
+class Trial:
+    """The current interpretation of a visit's pictures. `poses` (p): where the robot stood in each;
+    `chosen` (v,): the number of each view's reading; `wrong`, `hidden` (v,): which are wrong, and
+    which no reading can show; `wild` (k,): which of all their corners are."""
+
+    def __init__(
+        self, pictures: Pictures, camera: CameraState, poses: Pose, wrong: np.ndarray
     ) -> None:
-        """Read each view as it fits best with the present poses of robot and camera."""
-        self.hidden.clear()
-        stood = Pose.stack([self.poses[index] for index in observations])
-        camera_from_base = camera.map_from_camera.inverse() @ stood
-        seen = list(observations.values())
-        if self.faces is None:
-            read = read_where_they_are(seen, target, camera.lens, camera_from_base)
-        else:
-            read = _read_by(self.faces, seen, target, camera.lens, camera_from_base)
-        for (index, observation), (readings, rms) in zip(observations.items(), read, strict=True):
-            self.readings[index] = list(readings)
-            hidden = [not np.isfinite(each) for each in rms]
-            self.hidden.update((index, order) for order in np.flatnonzero(hidden).tolist())
-            before = self.wrong.get(index, hidden)
-            self.wrong[index] = [a or b for a, b in zip(before, hidden, strict=True)]
-            if index not in self.wild:
-                self.wild[index] = [np.zeros(len(v.corners), bool) for v in observation.views]
+        self.pictures, self.poses, self.wrong = pictures, poses, wrong
+        self.chosen = np.zeros(len(wrong), _WHOLE)
+        self.hidden = np.zeros(len(wrong), _FLAG)
+        self.wild = np.zeros(pictures.corner_count, _FLAG)
+        self._handle, self._score = EquationsHandle(), np.zeros(4)
+        self._begin(camera)
 
+    def _begin(self, camera: CameraState, robot: RobotState | None = None) -> None:
+        """Take the problem with a camera's clock, and begin with that camera."""
+        mine = self.pictures.robot
+        self.tables = self.pictures.tables(camera, self.poses)
+        problem = self.tables.assembled.problem
+        nodes = Pose.identity().repeated(len(problem.chains[mine])).rows()
+        nodes[self.tables.node_of] = self.poses.rows()
+        robot = replace(robot or self.pictures.robots[mine], map_from_base=Pose.from_rows(nodes))
+        self._start = State({self.pictures.camera: camera}, {mine: robot})
+        self._state = state_tables(problem, self._start)
 
-def _read_by(
-    faces: Pose,
-    observations: list[Observation],
-    target: Target,
-    lens: CameraModel,
-    camera_from_base: Pose,
-) -> list[Readings]:
-    """Each observation's readings that fit best with the faces' present estimates, and their RMS
-    (pixels)."""
-    found = []
-    shift = faces @ body_of(target).face_from_base
-    for row, observation in enumerate(observations):
-        readings, least = [], []
-        for view in observation.views:
-            each = readings_rms_px(view, target, lens, camera_from_base[row] @ shift)
-            rms = [float(each[r.face, order]) for order, r in enumerate(view.readings)]
-            readings.append(view.readings[int(np.argmin(rms))])
-            least.append(min(rms))
-        found.append((tuple(readings), least))
-    return found
+    @property
+    def state(self) -> State:
+        """Where the last round ended."""
+        return state_of(self.tables.assembled.problem, self._start, self._state)
+
+    @property
+    def camera(self) -> CameraState:
+        return self.state.cameras[self.pictures.camera]
+
+    @property
+    def equations(self) -> Equations:
+        """The normal equations at the state, once it was solved for."""
+        return Equations(self.tables.assembled.problem, float(self._score[3]), self._handle)
+
+    @property
+    def iterations(self) -> int:
+        """How many steps the last round took."""
+        return int(self._score[1])
+
+    @property
+    def signature(self) -> tuple[bytes, ...]:
+        """All that its solution depends on, except where the solver starts."""
+        return self.chosen.tobytes(), self.wrong.tobytes(), self.wild.tobytes()
+
+    def round(self, work: Work, *, huber: float = np.inf) -> Ending:
+        """Go on by one round; corners beyond `huber` sigmas have a linear cost (Huber)."""
+        if tuple(self._state[2][0].tolist()) != self._start.cameras[self.pictures.camera].clock:
+            before = self.state
+            self._begin(self.camera, before.robots[self.pictures.robot])
+        pictures, tables = self.pictures, self.tables
+        if pictures.jitter is not None and pictures.jitter.length > 0:
+            deviations = tables.problem[_DEVIATIONS]
+            assert isinstance(deviations, np.ndarray)
+            deviations[:] = pictures.jitter.among(self.poses.translation)
+        self._score[:] = 0.0
+        ending = _ROUND(*self.given(work, huber))
+        self.poses = Pose.from_rows(self._state[3][tables.node_of])
+        return Ending(ending)
+
+    def given(self, work: Work, huber: float = np.inf) -> tuple[object, ...]:
+        """What the core is given: `GIVEN`."""
+        pictures, tables = self.pictures, self.tables
+        return (
+            *(self._handle, *self._state, *tables.problem),
+            *(EXACT, float(huber), _TOLERANCE, _MOST_STEPS, self._score),
+            *(*body_tables(pictures.target), *tables.views, pictures.picture_of, tables.rows),
+            *(self.chosen, self.wrong, self.hidden, self.wild),
+            *(pictures.room, pictures.limits, int(work)),
+        )

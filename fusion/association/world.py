@@ -197,10 +197,11 @@ class World:
         seen = seen_by(self.graph, placed, there[0])
         shared = placed.covariance(seen.rows)
         covariance = seen.by_unknowns @ shared @ np.swapaxes(seen.by_unknowns, 1, 2) + seen.own
-        least = float(seen.evidence.min())
+        evidences = self.graph.evidence(there[0])
+        least = float(evidences.min())
         return [
             Place(seen.pose[mode], covariance[mode], score + float(evidence) - least)
-            for mode, evidence in enumerate(seen.evidence)
+            for mode, evidence in enumerate(evidences)
         ]
 
 

@@ -2,7 +2,7 @@
 
 The noise is the contract's random walk (`trigpoint.contract.odometry_noise`). Between two messages
 the robot is taken to move with a constant twist, so a fraction of an increment has that fraction of
-the increment's twist and of its variance.
+the increment's twist and of its variance. The core composes the motion (`odometry.cpp`).
 """
 
 import bisect
@@ -13,23 +13,13 @@ from enum import Enum
 import numpy as np
 
 from trigpoint.base.clock import NANOSECONDS, to_ns
-from trigpoint.contract.odometry_noise import step_variances
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
+from trigpoint.native.library import In, Kernel, Out
 from trigpoint.site.config import OdometryNoise
 
 from .increment import in_plane, increment, planar_increment
-from .motion import (
-    STILL,
-    Motion,
-    StepNoise,
-    both,
-    composed,
-    composed_in_plane,
-    composed_motion,
-    moved,
-    twist_of,
-)
+from .motion import STILL, Motion, both, composed, moved
 from .rest import Rest
 
 PARTS = (
@@ -53,10 +43,6 @@ MAXIMUM_TURN_RATE = 20.0  # rad/s
 LONGEST_GAP_S = 1.0
 _GAP_PERIODS = 10
 _GAP_SHARE = 0.5
-_GAP_RADIUS_M = 0.5  # the tightest bends that it is assumed to have driven in a gap
-ABOUT_S = 2e-3
-"""The robot's twist about a moment is taken over this many seconds to either side: less than
-between messages, and more than a camera's time offset still changes by once all else is known."""
 _ALLOWANCE = 0.05  # m and rad, for the rounding of stamps
 # This many messages of a standstill are kept individually (20 s at 50 Hz); later ones are merged
 # into a single step without motion, whose end moves on.
@@ -64,6 +50,23 @@ MOST_STANDING = 1024
 # A robot that turns also slips sideways, which the contract's model leaves out: with no translation
 # reported there would be no translation noise at all, and real robots contradict that.
 SLIP = 0.001  # m per √rad
+_REAL, _WHOLE = np.float64, np.int64
+_TRACK = (
+    *(In(_WHOLE, ("n",)), In(_REAL, ("n", 3, 3)), In(_REAL, ("n", 3)), In(_REAL, ("n", 6))),
+    *(In(np.bool_, ("n",)), In(_REAL, ("n",))),
+)
+_CARRIED = Kernel(
+    "tp_carried",
+    *(*_TRACK, In(_WHOLE, ("m",)), In(_REAL, ("m",)), In(_REAL, (2,))),
+    *(Out(_REAL, ("m", 12)), Out(_REAL, ("m", 6))),
+)
+_TWISTS_ABOUT = Kernel("tp_twists_about", *_TRACK, In(_WHOLE, ("m",)), Out(_REAL, ("m", 6)))
+_MOTION = Kernel(
+    "tp_motion",
+    *(*_TRACK, In(_WHOLE, ("m",)), In(_REAL, (7,)), float, float, In(_REAL, (2,))),
+    *(Out(_REAL, ("k", 12)), Out(_REAL, ("k", 6, 6)), Out(_REAL, ("k", 6, 2))),
+    Out(np.bool_, ("k",)),
+)
 _ARRAYS = ("_stamps", "_rotations", "_translations", "_twists", "_jumps", "_gaps")
 
 
@@ -308,42 +311,21 @@ class OdometryTrack:
         Returns start_from_end (n) and the twist at the end (n, 6), in its base frame. Beyond the
         odometry's ends, and across a jump, its last motion is extrapolated.
         """
+        way, twists = np.empty((len(seconds), 12)), np.zeros((len(seconds), 6))
         if self._count < 2:
-            return Pose.identity().repeated(len(seconds)), np.zeros((len(seconds), 6))
-        ends_ns = stamps_ns + np.round(seconds * NANOSECONDS).astype(np.int64)
-        start = np.clip(np.searchsorted(self.stamps_ns, stamps_ns), 1, self._count - 1)
-        end = np.clip(np.searchsorted(self.stamps_ns, ends_ns), 1, self._count - 1)
-        # A jump lies between the two where the numbers of jumps before them differ.
-        jumps = np.searchsorted(self._jump_rows, [start, end], "right")
-        end = np.where(jumps[0] == jumps[1], end, start)
-        period_s = (self._stamps[end] - self._stamps[end - 1]) / NANOSECONDS
-        since_s = (stamps_ns - self._stamps[end - 1]) / NANOSECONDS + seconds
-        before = self._within(start, (stamps_ns - self._stamps[start - 1]) / NANOSECONDS)
-        between = before.inverse() @ self._within(end, since_s)
-        # A stretch this short may be scaled as a whole.
-        way = moved(twist_of(between) * both(1 + scales))
-        return way, self._twists[end] * both(1 + scales) / period_s[:, None]
+            return Pose.identity().repeated(len(seconds)), twists
+        moments = np.ascontiguousarray(stamps_ns), np.ascontiguousarray(seconds, dtype=float)
+        _CARRIED(*self._tables, *moments, np.array(scales, dtype=float), way, twists)
+        return Pose.from_rows(way), twists
 
     def twists_about(self, stamps_ns: np.ndarray) -> Array:
-        """The robot's mean twists (n, 6) about moments (n,), in its base frame, over `ABOUT_S` to
-        either side, but not across a jump."""
-        around = to_ns(ABOUT_S)
-        before, after = stamps_ns - around, stamps_ns + around
-        pieces = self.pieces(stamps_ns)
-        before = np.where(self.pieces(before) == pieces, before, stamps_ns)
-        after = np.where(self.pieces(after) == pieces, after, stamps_ns)
-        after = np.maximum(after, before + 1)
-        seconds = (after - before) / NANOSECONDS
-        way, _ = self.carried(before, seconds, np.zeros(2))
-        return twist_of(way) / seconds[:, None]
-
-    def _within(self, rows: np.ndarray, since_s: Array) -> Pose:
-        """odom_from_base at `since_s` after the message before each row, by the row's twist."""
-        period_s = (self._stamps[rows] - self._stamps[rows - 1]) / NANOSECONDS
-        # A row's own pose, not the one before it: a jump lies between those.
-        left = (since_s - period_s) / period_s
-        end = Pose(self._rotations[rows], self._translations[rows])
-        return end @ moved(self._twists[rows] * left[:, None])
+        """The robot's mean twists (n, 6) about moments (n,), in its base frame, over 2 ms to either
+        side, but not across a jump: less than between messages, and more than a camera's time
+        offset still changes by once all else is known."""
+        twists = np.zeros((len(stamps_ns), 6))
+        if self._count > 1:
+            _TWISTS_ABOUT(*self._tables, np.ascontiguousarray(stamps_ns), twists)
+        return twists
 
     def is_in_gap(self, stamp_ns: int) -> bool:
         """Whether a moment lies in a gap of the odometry, so that the motion to it is not known."""
@@ -365,36 +347,22 @@ class OdometryTrack:
 
         `scales`: (2,) constant scale errors of distance and heading; true = (1 + error) · reported.
         """
-        first = max(int(np.searchsorted(self.stamps_ns, stamps_ns[0], "right")) - 1, 0)
-        last = int(np.searchsorted(self.stamps_ns, stamps_ns[-1], "left"))
-        inner = self._stamps[first + 1 : last]
-        fine = np.concatenate([stamps_ns, inner])
-        order = np.argsort(fine, kind="stable")
-        fine = fine[order]
-        # Row of the odometry message that ends the increment in which each fine step lies.
-        rows = np.clip(np.searchsorted(self.stamps_ns, fine[1:], "left"), 1, self._count - 1)
-        part = np.diff(fine) / (self._stamps[rows] - self._stamps[rows - 1])
-        is_moment = order < len(stamps_ns)
-        segment = np.cumsum(is_moment)[:-1] - 1
-        compose = composed_in_plane if self.planar else composed_motion
-        twists = self._twists[rows] * part[:, None]
-        return compose(twists, self._step_noise(rows, part), segment, scales)
+        count = len(stamps_ns) - 1
+        ways, covariance, by_scale = (np.empty((count, *of)) for of in ((12,), (6, 6), (6, 2)))
+        is_still = np.empty(count, dtype=bool)
+        parts = np.array([getattr(self.noise, part) for part in PARTS], dtype=float)
+        _MOTION(
+            *(*self._tables, np.ascontiguousarray(stamps_ns)),
+            *(parts, float(self.slip), float(self.skid), np.array(scales, dtype=float)),
+            *(ways, covariance, by_scale, is_still),
+        )
+        return Motion(Pose.from_rows(ways), covariance, by_scale, is_still)
 
-    def _step_noise(self, rows: np.ndarray, part: Array) -> StepNoise:
-        """The noise of each fine step, which is a part (n,) of the increment that ends at a row."""
-        twists = self._twists[rows]
-        length = np.linalg.norm(twists[:, :3], axis=1) * part
-        turned = np.linalg.norm(twists[:, 3:], axis=1) * part
-        unseen = self._gaps[rows] * part
-        length = np.maximum(length, unseen)
-        turned = np.maximum(turned, unseen / _GAP_RADIUS_M)
-        stated = step_variances(self.noise, length, turned)
-        return StepNoise(
-            along=stated.translation + turned[:, None] * np.array([self.skid**2, 0.0, 0.0]),
-            slip=self.slip**2 * turned,
-            tilt=stated.rotation[:, 0],
-            heading=stated.rotation[:, 2],
-            # The step before a moment that coincides with a message has no length, and says
-            # nothing of a jump.
-            is_unknown=self._jumps[rows] & (part > 0),
+    @property
+    def _tables(self) -> tuple[np.ndarray, ...]:
+        """The messages as the core takes them: `Track` of `odometry.cpp`."""
+        rows = slice(self._count)
+        return (
+            *(self._stamps[rows], self._rotations[rows], self._translations[rows]),
+            *(self._twists[rows], self._jumps[rows], self._gaps[rows]),
         )

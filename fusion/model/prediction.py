@@ -59,14 +59,6 @@ def batch_jacobian(problem: Problem, batch: Batch, state: State) -> tuple[Array,
     return jacobian, residual, _dense_columns(problem, batch)
 
 
-def batch_jacobians(
-    problem: Problem, batch: Batch, state: State
-) -> tuple[Array, Array, np.ndarray, Array]:
-    """`batch_jacobian` and `base_jacobian` of one batch."""
-    residual, jacobian, by_seen = _terms(batch, state, problem, by_seen=True)
-    return jacobian, residual, _dense_columns(problem, batch), by_seen
-
-
 def base_jacobian(batch: Batch, state: State) -> Array:
     """Weighted derivative (n, K, 2, 6) of `batch_residual` by a disturbance of the robot's pose
     when it was seen, in the map's axes."""

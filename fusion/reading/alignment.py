@@ -12,7 +12,8 @@ from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.site.target import Target
 
-from .faces import candidates, corners_of, is_same_pose, pixels_of, readings_rms_px
+from .best_readings import best_readings
+from .faces import candidates, corners_of, is_same_pose, pixels_of
 from .planar_pose import least_squares_steps
 from .visibility import body_of
 
@@ -245,14 +246,13 @@ class _Search:
 
     def _read_at(self, map_from_base: Pose) -> np.ndarray | None:
         """For each view the index of the reading that fits a pose best; None where none does."""
-        camera_from_base = Pose.stack([self.map_from_camera.inverse() @ map_from_base])
-        chosen = []
-        for view in self.observation.views:
-            rms = readings_rms_px(view, self.target, self.lens, camera_from_base)[0]
-            chosen.append(int(np.argmin(rms)))
-            if not np.isfinite(rms[chosen[-1]]):
-                return None
-        return np.array(chosen)
+        views = self.observation.views
+        there = (self.map_from_camera.inverse() @ map_from_base).repeated(len(views))
+        chosen, rms = best_readings(views, self.target, self.lens, there)
+        if not np.all(np.isfinite(rms)):
+            return None
+        found = zip(views, chosen, strict=True)
+        return np.array([view.readings.index(reading) for view, reading in found])
 
     def _named(self, readings: np.ndarray) -> tuple[Reading, ...]:
         views = zip(self.observation.views, readings, strict=True)

@@ -1,5 +1,4 @@
-"""The best readings of many views, each at its assumed pose: `faces.readings_rms_px` for all of
-them at once."""
+"""How well views are read, each with the target at its assumed pose."""
 
 from collections.abc import Sequence
 
@@ -8,13 +7,29 @@ import numpy as np
 from trigpoint.fusion.model.observations import Observation, Reading, View, joined
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
+from trigpoint.native.library import In, Kernel, Out
 from trigpoint.site.target import Target
 
-from .visibility import Body, are_seen, body_of, corners_in_base, ways_of
+from .views import BODY, VIEWS, body_tables, view_tables
+from .visibility import Body, corners_in_base
 
-_NEAREST_M = 1e-3
-# The most corners that are processed at once, over all their readings: some 20 MB.
-_MOST_CORNERS = 100_000
+_READINGS = Kernel(
+    "tp_readings",
+    *(In(np.float64, ("p",)), *BODY, *VIEWS, In(np.float64, ("views", 12))),
+    *(Out(np.int64, ("views",)), Out(np.float64, ("readings",))),
+)
+
+
+def readings_rms_px(
+    views: Sequence[View], target: Target, lens: CameraModel, camera_from_base: Pose
+) -> tuple[np.ndarray, Array]:
+    """For views (v) of one target, each at its own pose (v): the number of the reading of least
+    reprojection RMS (v,), and that RMS of a coordinate for every reading of every view, pixels,
+    concatenated; infinite for a face that would be seen from behind or through another."""
+    tables = view_tables(views)
+    numbers, rms = np.empty(len(views), dtype=np.int64), np.empty(len(tables[-1]))
+    _READINGS(lens.parameters, *body_tables(target), *tables, camera_from_base.rows(), numbers, rms)
+    return numbers, rms
 
 
 def best_readings(
@@ -22,17 +37,10 @@ def best_readings(
 ) -> tuple[list[Reading], Array]:
     """The reading of least RMS of views (v) of one target, each for its own pose (v), and that RMS
     (v,), pixels; infinite where no reading can be seen."""
-    numbers, rms = np.zeros(len(views), dtype=int), np.full(len(views), np.inf)
-    for rows in groups_of([(len(view.corners), len(view.readings)) for view in views]):
-        corners, readings = len(views[rows[0]].corners), len(views[rows[0]].readings)
-        step = max(1, _MOST_CORNERS // max(1, corners * readings))
-        for part in (rows[start : start + step] for start in range(0, len(rows), step)):
-            some = [views[row] for row in part]
-            each = _rms_px(some, body_of(target), lens, camera_from_base[part])
-            numbers[part] = np.argmin(each, axis=1)
-            rms[part] = each.min(axis=1)
-    chosen = [view.readings[number] for view, number in zip(views, numbers, strict=True)]
-    return chosen, rms
+    numbers, rms = readings_rms_px(views, target, lens, camera_from_base)
+    counts = np.array([len(view.readings) for view in views], dtype=int)
+    least = rms[np.cumsum(counts) - counts + numbers]
+    return [view.readings[n] for view, n in zip(views, numbers.tolist(), strict=True)], least
 
 
 def read_where_they_are(
@@ -70,38 +78,3 @@ def points_of_views(views: Sequence[View], body: Body, faces: Array, is_turned: 
     shape = points.swapaxes(0, 1).shape
     shift = sweep.shift(points.swapaxes(0, 1).reshape(shape[0], -1, 3))
     return points + shift.reshape(shape).swapaxes(0, 1)
-
-
-def _rms_px(views: Sequence[View], body: Body, lens: CameraModel, camera_from_base: Pose) -> Array:
-    """`faces.readings_rms_px` of views (v) with equally many corners and readings (r), each for its
-    own pose (v): (v, r)."""
-    faces, is_turned = (
-        np.stack(each) for each in zip(*(ways_of(v.readings) for v in views), strict=True)
-    )
-    points = points_of_views(views, body, faces, is_turned)
-    pixels = np.stack([view.pixels for view in views])
-    turned = np.swapaxes(camera_from_base.rotation, 1, 2)[:, None]
-    optical = points @ turned + camera_from_base.translation[:, None, None]
-    is_ahead = optical[..., 2] > _NEAREST_M
-    projected = lens.project(np.where(is_ahead[..., None], optical, [0.0, 0.0, 1.0]))
-    rms = np.sqrt(np.mean((projected - pixels[:, None]) ** 2, axis=(-1, -2)))
-    few, is_counted = _outermost(pixels)
-    outer = np.take_along_axis(points, few[:, None, :, None], axis=2)
-    count, readings = faces.shape
-    is_seen = are_seen(
-        body,
-        faces.reshape(-1),
-        outer.reshape(count * readings, -1, 3),
-        np.repeat(is_counted, readings, axis=0),
-        np.repeat(camera_from_base.inverse().translation, readings, axis=0),
-    )
-    return np.where(is_ahead.all(axis=-1) & is_seen.reshape(count, readings), rms, np.inf)
-
-
-def _outermost(pixels: Array) -> tuple[np.ndarray, np.ndarray]:
-    """`visibility.outermost` of views with pixels (v, n, 2): indices (v, 4) of corners, and which
-    of them (v, 4) are no duplicates."""
-    rising, falling = pixels[..., 0] + pixels[..., 1], pixels[..., 0] - pixels[..., 1]
-    ends = [np.argmin(sign * reach, axis=1) for reach in (rising, falling) for sign in (1, -1)]
-    few = np.sort(np.stack(ends, axis=1), axis=1)
-    return few, np.diff(few, axis=1, prepend=-1) > 0

@@ -23,16 +23,6 @@ _PLANE = Kernel(
     Out(_REAL, (2, 3)),
     Out(_REAL, (2,)),
 )
-_REFINED = Kernel(
-    "tp_refined_poses",
-    In(_REAL, ("p",)),
-    Out(_REAL, ("b", 3, 3)),
-    Out(_REAL, ("b", 3)),
-    In(_REAL, ("b", "n", 3)),
-    In(_REAL, ("n", 2)),
-    In(_REAL, ("n",)),
-    Out(_REAL, ("b",)),
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,26 +49,6 @@ def planar_poses(lens: CameraModel, points: Array, pixels: Array, sigma: float) 
         *(rotation, translation, rms),
     )
     return [PoseFit(Pose(rotation[i], translation[i]), float(rms[i])) for i in range(count)]
-
-
-def refined_poses(
-    lens: CameraModel, starts: Pose, points: Array, pixels: Array, sigma: float | Array
-) -> list[PoseFit | None]:
-    """The poses of least reprojection error near many starts (b), each with its own points
-    (b, n, 3), by Gauss-Newton in the core; None where it diverges.
-
-    `pixels`: (n, 2); `sigma`: of a coordinate, a number or (n,).
-    """
-    weights = np.ascontiguousarray(np.broadcast_to(1 / np.asarray(sigma), points.shape[1:2]))
-    rotation, translation = np.array(starts.rotation), np.array(starts.translation)
-    rms = np.empty(len(points))
-    corners = np.ascontiguousarray(points), np.ascontiguousarray(pixels)
-    _REFINED(lens.parameters, rotation, translation, *corners, weights, rms)
-    found = Pose(rotation, translation)
-    return [
-        PoseFit(found[i], float(value)) if np.isfinite(value) else None
-        for i, value in enumerate(rms)
-    ]
 
 
 def least_squares_steps(jacobian: Array, residual: Array, is_wanted: np.ndarray) -> Array:

@@ -12,13 +12,9 @@ import numpy as np
 
 from trigpoint.fusion.model.observations import Reading, View, base_from_faces
 from trigpoint.geometry import Pose
-from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
 from trigpoint.site.target import Target
 
-# Faces are not mounted exactly where the target file says, so a corner at the edge of what another
-# face hides may be seen; a view most of whose corners are hidden can't.
-_HIDDEN_SHARE = 0.5
 _BESIDE = 1e-3
 
 
@@ -58,19 +54,6 @@ def body_of(target: Target) -> Body:
     )
 
 
-@cache
-def pattern_from_base(target: Target) -> Pose:
-    """The base as the pattern of each face sees it (f), and again (f) as it does when it is read
-    from its other end, (2 f)."""
-    upright = body_of(target).face_from_base
-    half_turns = [Pose(so3.exp([0.0, 0.0, np.pi]), face.corners[-1]) for face in target.faces]
-    turned = Pose.stack(half_turns) @ upright
-    return Pose(
-        np.concatenate([upright.rotation, turned.rotation]),
-        np.concatenate([upright.translation, turned.translation]),
-    )
-
-
 def by_reading(view: View, body: Body) -> Array:
     """A view's corners in the base frame for each of its readings, (r, n, 3)."""
     faces, is_turned = ways_of(view.readings)
@@ -87,37 +70,11 @@ def corners_in_base(
     return body.table[faces, ids]
 
 
-def faces_of(view: View) -> np.ndarray:
-    """The face of each of a view's readings, (r,)."""
-    return ways_of(view.readings)[0]
-
-
 @lru_cache(maxsize=4096)
 def ways_of(readings: tuple[Reading, ...]) -> tuple[np.ndarray, np.ndarray]:
     """The face of each reading, and whether it is turned, (r,)."""
     faces = np.array([reading.face for reading in readings])
     return faces, np.array([reading.is_turned for reading in readings])
-
-
-def outermost(pixels: Array) -> np.ndarray:
-    """Indices of the corners that reach furthest in four directions."""
-    u, v = pixels.T
-    rising, falling = u + v, u - v
-    return np.array(sorted({rising.argmin(), rising.argmax(), falling.argmin(), falling.argmax()}))
-
-
-def are_seen(
-    body: Body, faces: np.ndarray, points: Array, is_counted: np.ndarray, eyes: Array
-) -> np.ndarray:
-    """Whether each eye (v, 3) sees its face (v,) from in front and past all other faces, by those
-    of its points (v, k, 3) that are counted (v, k); base frame, (v,) bool."""
-    into = body.base_from_face.rotation[faces, :, 2]
-    in_front = np.sum(into * (eyes - body.base_from_face.translation[faces]), axis=-1) < 0
-    end = _in_faces(body, points.reshape(-1, 3)).reshape(len(body.counts), 3, *points.shape[:-1])
-    through = _go_through(body, _in_faces(body, eyes)[..., None], end)
-    through &= (np.arange(len(through))[:, None] != faces)[..., None]
-    hidden = np.sum(through.any(axis=0) & is_counted, axis=1) / np.sum(is_counted, axis=1)
-    return in_front & (hidden <= _HIDDEN_SHARE)
 
 
 def corners_hidden(body: Body, face: int, eyes: Array, others: Sequence[int]) -> np.ndarray:

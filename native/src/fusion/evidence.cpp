@@ -1,31 +1,18 @@
-// What a visit's sightings say of each other: innovations.
+#include "fusion/evidence.hpp"
+
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
 #include <Eigen/LU>
 #include <algorithm>
-#include <stdexcept>
-#include <vector>
-
-#include "border.hpp"
-#include "fusion/pose_fitting.hpp"
 
 using namespace trigpoint;
 
 namespace {
 
-template <int R, int C>
-using In =
-    Eigen::Map<const Eigen::Matrix<double, R, C, C == 1 ? Eigen::ColMajor : Eigen::RowMajor>>;
 using Wide = Eigen::Matrix<double, 6, Eigen::Dynamic>;
 
 // A sighting's share of 1 that is left of its pose's variance, at least.
 constexpr double LEAST_LEFT = 1e-6;
-
-// How far a sighting is from where everything else predicts it: νᵀS⁻¹ν and ln|S|.
-struct Innovation {
-    bool is_determined;
-    double chi2, log_spread;
-};
 
 // A sighting's derivatives by its pose and by the unknowns (2 k, q), and its residuals; `weight`: 0
 // of wild corners; `covariance`: of the unknowns, with the sighting if it `is_used`; `rest`: the χ²
@@ -99,105 +86,41 @@ struct Stood {
     }
 };
 
-// What `tp_judged` is given, in its order.
-enum Judged {
-    BY_BASE,
-    RESIDUAL,
-    JACOBIAN,
-    ROWS,
-    STEP,
-    WAY,
-    COVARIANCE,
-    VIEWS,
-    IS_WRONG,
-    JITTER,
-    LIMIT,
-    ROOM,
-    REST,
-    WILD,
-    FOUND,
-    IS_DETERMINED
-};
-
 }  // namespace
 
-// (by the robot (n, k, 12), residuals (n, k, 2), Jacobian (n, k, 2 q), its rows (n, q), step to the
-// minimum (u,), share of it that is left, covariance (u, u), views (v, 3) as picture, first and
-// past the last corner, is wrong (v,), variances of the robot's deviation (n or 0, 6), most χ² of a
-// corner, variances of the room (6,), rest, is wild (n, k), χ² and ln|S| (v, 2), is determined
-// (v,)): 0; see `innovation.judged`.
-TRIGPOINT_KERNEL(tp_judged) {
-    const auto numbers = [&](Judged which) { return arguments[which].array.as<double>(); };
-    const Eigen::Index pictures = arguments[BY_BASE].array.shape[0],
-                       corners = arguments[BY_BASE].array.shape[1],
-                       q = arguments[ROWS].array.shape[1], u = arguments[STEP].array.shape[0],
-                       views = arguments[VIEWS].array.shape[0];
-    if (arguments[JACOBIAN].array.shape[2] != 2 * q)
-        throw std::invalid_argument("derivatives by other unknowns than the covariance is of");
-    const bool is_shaken = arguments[JITTER].array.shape[0] > 0;
-    if (is_shaken && arguments[JITTER].array.shape[0] != pictures)
-        throw std::invalid_argument("not every picture has a deviation");
-    const std::int64_t *rows = arguments[ROWS].array.as<std::int64_t>(),
-                       *parts = arguments[VIEWS].array.as<std::int64_t>();
-    for (Eigen::Index i = 0; i < pictures * q; ++i)
-        if (rows[i] < 0 || rows[i] >= u) throw std::invalid_argument("an unknown that is none");
-    for (Eigen::Index v = 0; v < views; ++v)
-        if (parts[3 * v] < 0 || parts[3 * v] >= pictures || parts[3 * v + 1] < 0 ||
-            parts[3 * v + 1] > parts[3 * v + 2] || parts[3 * v + 2] > corners)
-            throw std::invalid_argument("a view of corners that are none");
-    const In<6, 1> room(numbers(ROOM));
-    bool* is_wild = arguments[WILD].array.as<bool>();
-    std::fill_n(is_wild, pictures * corners, false);
-    for (Eigen::Index n = 0; n < pictures; ++n) {
-        const Eigen::Map<const RowMajor> jacobian(numbers(JACOBIAN) + 2 * corners * q * n,
-                                                  2 * corners, q);
-        const Eigen::Map<const ByPoses> by_base(numbers(BY_BASE) + 12 * corners * n, 2 * corners,
-                                                6);
-        Eigen::VectorXd step(q), left = Eigen::Map<const Eigen::VectorXd>(
-                                     numbers(RESIDUAL) + 2 * corners * n, 2 * corners);
-        Eigen::MatrixXd covariance(q, q);
-        for (Eigen::Index i = 0; i < q; ++i) {
-            step(i) = numbers(STEP)[rows[n * q + i]];
-            for (Eigen::Index j = 0; j < q; ++j)
-                covariance(i, j) = numbers(COVARIANCE)[rows[n * q + i] * u + rows[n * q + j]];
-        }
-        left += arguments[WAY].number * (jacobian * step);
-        std::vector<Eigen::VectorXd> weights(static_cast<std::size_t>(views));
-        Eigen::VectorXd good = Eigen::VectorXd::Zero(2 * corners);
-        const auto mine = [&](Eigen::Index v) { return parts[3 * v] == n; };
-        for (Eigen::Index v = 0; v < views; ++v) {
-            if (!mine(v)) continue;
-            const Eigen::Index first = parts[3 * v + 1], count = parts[3 * v + 2] - first;
-            Eigen::VectorXd& weight = weights[static_cast<std::size_t>(v)];
-            tame_step(
-                {{by_base.data() + 12 * first, 2 * count, 6}, {left.data() + 2 * first, 2 * count}},
-                arguments[LIMIT].number, weight);
-            for (Eigen::Index k = 0; k < count; ++k) {
-                is_wild[n * corners + first + k] = weight(k) == 0;
-                if (weight(k) != 0 && !arguments[IS_WRONG].array.as<bool>()[v])
-                    good.segment<2>(2 * (first + k)).setOnes();
-            }
-        }
-        RowMajor by_state = jacobian;
-        if (is_shaken) {
-            const Stood stood(good.asDiagonal() * by_base, good.cwiseProduct(left),
-                              good.asDiagonal() * jacobian, In<6, 1>(numbers(JITTER) + 6 * n));
-            covariance = stood.beside(covariance);
-            left += by_base * stood.shift;
-            by_state.resize(2 * corners, q + 6);
-            by_state << jacobian, by_base;
-        }
-        for (Eigen::Index v = 0; v < views; ++v) {
-            if (!mine(v)) continue;
-            const Eigen::Index first = parts[3 * v + 1], count = parts[3 * v + 2] - first;
-            const Innovation found = innovation(
-                {{by_base.data() + 12 * first, 2 * count, 6}, {left.data() + 2 * first, 2 * count}},
-                by_state.middleRows(2 * first, 2 * count), weights[static_cast<std::size_t>(v)],
-                covariance, room, !arguments[IS_WRONG].array.as<bool>()[v], arguments[REST].number);
-            numbers(FOUND)[2 * v] = found.chi2;
-            numbers(FOUND)[2 * v + 1] = found.log_spread;
-            arguments[IS_DETERMINED].array.as<bool>()[v] = found.is_determined;
+std::vector<Innovation> trigpoint::innovations(const Pictured& seen, const std::vector<Part>& parts,
+                                               const Eigen::VectorXd& step,
+                                               Eigen::MatrixXd covariance, const double* variances,
+                                               const Asked& asked, bool* is_wild) {
+    const auto part_of = [&](const Eigen::VectorXd& residual, const Part& part) -> Sighting {
+        return {{seen.by_base.data() + 12 * part.first, 2 * part.count, 6},
+                {residual.data() + 2 * part.first, 2 * part.count}};
+    };
+    Eigen::VectorXd left = seen.residual + asked.way * (seen.jacobian * step);
+    Eigen::VectorXd good = Eigen::VectorXd::Zero(left.size());
+    std::vector<Eigen::VectorXd> weights;
+    for (const Part& part : parts) {
+        weights.emplace_back();
+        tame_step(part_of(left, part), asked.limit, weights.back());
+        for (Eigen::Index k = 0; k < part.count; ++k) {
+            is_wild[part.first + k] = weights.back()(k) == 0;
+            if (weights.back()(k) != 0 && !part.is_wrong)
+                good.segment<2>(2 * (part.first + k)).setOnes();
         }
     }
-    return 0;
+    RowMajor by_state = seen.jacobian;
+    if (variances != nullptr) {
+        const Stood stood(good.asDiagonal() * seen.by_base, good.cwiseProduct(left),
+                          good.asDiagonal() * seen.jacobian, Eigen::Map<const Vector6d>(variances));
+        covariance = stood.beside(covariance);
+        left += seen.by_base * stood.shift;
+        by_state.resize(left.size(), seen.jacobian.cols() + 6);
+        by_state << seen.jacobian, seen.by_base;
+    }
+    std::vector<Innovation> found;
+    for (std::size_t v = 0; v < parts.size(); ++v)
+        found.push_back(innovation(
+            part_of(left, parts[v]), by_state.middleRows(2 * parts[v].first, 2 * parts[v].count),
+            weights[v], covariance, asked.room, !parts[v].is_wrong, asked.rest));
+    return found;
 }

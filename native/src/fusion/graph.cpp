@@ -1,6 +1,9 @@
 // The minimum of a pose graph, and the marginal covariances there.
+#include <Eigen/LU>
 #include <Eigen/SparseCholesky>
 #include <algorithm>
+#include <array>
+#include <cmath>
 #include <limits>
 #include <stdexcept>
 #include <vector>
@@ -34,13 +37,18 @@ struct Factor {
     }
 };
 
+// The most rows of a term, of a pose and a camera's own unknowns, and its most unknowns, of two.
+constexpr int MOST_OWN = 14, MOST_ROWS = 6 + MOST_OWN, MOST_COLUMNS = 12 + MOST_OWN;
+using Small = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor, MOST_COLUMNS,
+                            MOST_COLUMNS>;
+
 // One term of the cost: residualᵀ information residual, its derivatives by the unknowns in `rows`
 // (-1: held).
 struct Term {
     std::vector<Index> rows;
-    RowMajor jacobian;
-    Eigen::VectorXd residual;
-    RowMajor information;
+    Small jacobian;
+    Eigen::Matrix<double, Eigen::Dynamic, 1, Eigen::ColMajor, MOST_ROWS> residual;
+    Small information;
 };
 
 // Normal equations of terms that always come in one order: where each entry goes is found once.
@@ -58,18 +66,25 @@ public:
         if (is_planned_) std::fill_n(matrix.valuePtr(), matrix.nonZeros(), 0.0);
         next_ = 0;
     }
+    // Products are taken entry by entry: what lies ready for large matrices costs more than these.
     void add(const Term& term) {
-        const RowMajor weighted = term.jacobian.transpose() * term.information;
-        const RowMajor square = weighted * term.jacobian;
-        const Eigen::VectorXd pull = weighted * term.residual;
-        cost += term.residual.dot(term.information * term.residual);
+        std::array<Index, MOST_COLUMNS> rows;
+        Small jacobian(term.jacobian.rows(), term.jacobian.cols());
+        Index free = 0;  // a robot in the plane leaves half of the directions held
         for (std::size_t i = 0; i < term.rows.size(); ++i) {
             if (term.rows[i] < 0) continue;
-            gradient[term.rows[i]] += pull[static_cast<Index>(i)];
-            for (std::size_t j = 0; j < term.rows.size(); ++j)
-                if (term.rows[j] >= 0 && term.rows[j] <= term.rows[i])
-                    put(term.rows[i], term.rows[j],
-                        square(static_cast<Index>(i), static_cast<Index>(j)));
+            jacobian.col(free) = term.jacobian.col(static_cast<Index>(i));
+            rows[static_cast<std::size_t>(free++)] = term.rows[i];
+        }
+        const Small weighted = jacobian.leftCols(free).transpose().lazyProduct(term.information);
+        cost += term.residual.dot(term.information.lazyProduct(term.residual));
+        for (Index i = 0; i < free; ++i) {
+            const Index row = rows[static_cast<std::size_t>(i)];
+            gradient[row] += weighted.row(i).dot(term.residual);
+            for (Index j = 0; j < free; ++j) {
+                const Index column = rows[static_cast<std::size_t>(j)];
+                if (column <= row) put(row, column, weighted.row(i).dot(jacobian.col(j)));
+            }
         }
     }
     void end() {
@@ -143,7 +158,7 @@ public:
         checked(PRIOR_OF, 1, {poses()});
         checked(STEP_ENDS, 4, {poses(), poses(), std::max<Index>(values() - 1, 0), 2});
         checked(TIE_ENDS, 4, {poses(), poses(), values(), own() + 1});
-        if (array(TIE_INFORMATION).shape[1] != 6 + own())
+        if (array(TIE_INFORMATION).shape[1] != 6 + own() || own() > MOST_OWN)
             throw std::invalid_argument("information of others");
         for (Index k = 0; k < array(TIE_ENDS).shape[0]; ++k) {
             const std::int64_t* ends = integers(TIE_ENDS) + 4 * k;
@@ -219,24 +234,25 @@ private:
     Term value_prior(Index i) const {
         Term term;
         term.rows = {integers(VALUE_ROWS)[i]};
-        term.jacobian = RowMajor::Identity(1, 1);
-        term.residual = Eigen::VectorXd::Constant(1, numbers(VALUES)[i] - numbers(VALUE_MEAN)[i]);
-        term.information = RowMajor::Constant(1, 1, numbers(VALUE_INFORMATION)[i]);
+        term.jacobian = Small::Identity(1, 1);
+        term.residual.setConstant(1, numbers(VALUES)[i] - numbers(VALUE_MEAN)[i]);
+        term.information = Small::Constant(1, 1, numbers(VALUE_INFORMATION)[i]);
         return term;
     }
 
     // The term of the motion from one pose to another, `expected` at their values.
     Term between(Index first, Index second, const Pose& expected, Index more) const {
         Term term;
+        term.rows.reserve(MOST_COLUMNS);
         free(term.rows, first);
         free(term.rows, second);
         const Pose a = pose(first), b = pose(second);
         Matrix6d by_a, by_b;
         relative_jacobians(a, b, by_a, by_b);
-        term.jacobian = RowMajor::Zero(6 + more, 12 + more);
+        term.jacobian = Small::Zero(6 + more, 12 + more);
         term.jacobian.topLeftCorner<6, 6>() = by_a;
         term.jacobian.block<6, 6>(0, 6) = by_b;
-        term.residual = Eigen::VectorXd::Zero(6 + more);
+        term.residual.setZero(6 + more);
         term.residual.head<6>() = a.inverse().times(b).difference(expected);
         return term;
     }
@@ -285,13 +301,15 @@ private:
     }
 };
 
-// Whether every unknown has an equation; the factor is then of these equations.
-bool factorised(const Normal& normal, Factor& factor) {
+// Whether every unknown has an equation; the factor is then of these equations, which are those of
+// one graph: the order of elimination `is_known` from its first ones.
+bool factorised(const Normal& normal, Factor& factor, bool is_known) {
     const Eigen::VectorXd diagonal = normal.matrix.diagonal();
     if (!(diagonal.array() > 0).all() || !diagonal.allFinite()) return false;
     factor.scale = diagonal.array().rsqrt();
     Sparse scaled = factor.scale.asDiagonal() * normal.matrix * factor.scale.asDiagonal();
-    factor.parts.compute(scaled);
+    if (!is_known) factor.parts.analyzePattern(scaled);
+    factor.parts.factorize(scaled);
     return factor.parts.info() == Eigen::Success;
 }
 
@@ -313,7 +331,7 @@ TRIGPOINT_KERNEL(tp_graph_minimum) {
     score[0] = score[1] = 0;
     for (int round = 0; round < MOST_STEPS && !is_settled; ++round) {
         graph.linearise(normal);
-        if (!factorised(normal, factor)) return 0;
+        if (!factorised(normal, factor, round > 0)) return 0;
         const Eigen::VectorXd step = -factor.scale.cwiseProduct(
             factor.parts.solve(factor.scale.cwiseProduct(normal.gradient)));
         if (!step.allFinite()) return 0;
@@ -325,28 +343,114 @@ TRIGPOINT_KERNEL(tp_graph_minimum) {
     }
     if (!is_settled) {
         graph.linearise(normal);
-        if (!factorised(normal, factor)) return 0;
+        if (!factorised(normal, factor, true)) return 0;
         score[0] = normal.cost;
     }
     score[1] = factor.log_determinant();
     return factor.is_positive() && std::isfinite(score[0]) && std::isfinite(score[1]);
 }
 
+namespace {
+
+// Where the modes (k) of a visit, or a place of the graph, put a camera: relative to a pose of the
+// graph, whose rows (6,) are -1 where it is held, with a covariance in that one's axes.
+class Seen {
+public:
+    // Pose (1, 12), rows (6,), the camera from there (k, 12), covariances (k, 6, 6), evidence (k,).
+    static constexpr int ARGUMENTS = 5;
+
+    Seen(const Argument* given, Index size) : given_(given), base_(pose_at(numbers(0))) {
+        for (int axis = 0; axis < 6; ++axis) {
+            const std::int64_t row = given[1].array.as<std::int64_t>()[axis];
+            if (row < -1 || row >= size) throw std::invalid_argument("a row that is none");
+            if (row < 0) continue;
+            rows.push_back(row);
+            axes_.push_back(axis);
+        }
+    }
+
+    std::vector<Index> rows;
+
+    Index modes() const { return given_[4].array.shape[0]; }
+    double evidence(Index mode) const { return numbers(4)[mode]; }
+    Pose pose(Index mode) const { return base_.times(pose_at(numbers(2) + 12 * mode)); }
+    Matrix6d own(Index mode) const {
+        Matrix6d turn = Matrix6d::Zero();
+        turn.topLeftCorner<3, 3>() = turn.bottomRightCorner<3, 3>() = base_.rotation;
+        return turn * Eigen::Map<const Matrix6d>(numbers(3) + 36 * mode) * turn.transpose();
+    }
+    // Its derivative by the unknowns in `rows`: a turn of the base swings what is seen from it.
+    AtMost6 by_rows(Index mode) const {
+        Matrix6d lever = Matrix6d::Identity();
+        lever.topRightCorner<3, 3>() = -hat(pose(mode).translation - base_.translation);
+        return lever(Eigen::all, axes_);
+    }
+
+private:
+    const Argument* given_;
+    Pose base_;
+    std::vector<Index> axes_;
+
+    double* numbers(int which) const { return given_[which].array.as<double>(); }
+};
+
+// The marginal covariance of the unknowns in these rows, each of them one.
+RowMajor covariance_of(const Factor& factor, const std::vector<Index>& rows) {
+    const auto count = static_cast<Index>(rows.size());
+    Eigen::MatrixXd unit = Eigen::MatrixXd::Zero(factor.scale.size(), count);
+    for (Index i = 0; i < count; ++i) {
+        const Index row = rows[static_cast<std::size_t>(i)];
+        unit(row, i) = factor.scale[row];
+    }
+    if (factor.scale.size() == 0 || !factor.is_positive())
+        throw std::invalid_argument("nothing is factorised");
+    const Eigen::MatrixXd solved = factor.scale.asDiagonal() * factor.parts.solve(unit);
+    const Eigen::MatrixXd mine = solved(rows, Eigen::all);
+    return 0.5 * (mine + mine.transpose());
+}
+
+}  // namespace
+
 // (factor, rows (k,), covariance (k, k)): 0; see `factor.Factor.covariance`.
 TRIGPOINT_KERNEL(tp_factor_covariance) {
     const auto& factor = *static_cast<Factor*>(arguments[0].object);
     const Index count = arguments[1].array.shape[0], size = factor.scale.size();
-    const std::int64_t* rows = arguments[1].array.as<std::int64_t>();
-    Eigen::MatrixXd unit = Eigen::MatrixXd::Zero(size, count);
-    for (Index i = 0; i < count; ++i) {
-        if (rows[i] < 0 || rows[i] >= size) throw std::invalid_argument("a row that is none");
-        unit(rows[i], i) = factor.scale[rows[i]];
+    const std::int64_t* given = arguments[1].array.as<std::int64_t>();
+    const std::vector<Index> rows(given, given + count);
+    for (const Index row : rows)
+        if (row < 0 || row >= size) throw std::invalid_argument("a row that is none");
+    Eigen::Map<RowMajor>(arguments[2].array.as<double>(), count, count) =
+        covariance_of(factor, rows);
+    return 0;
+}
+
+// (factor, two of `Seen`, the covariance (6, 6) of the difference of their places, costs (k, m)):
+// 0; see `agreement.agreement`.
+TRIGPOINT_KERNEL(tp_agreement) {
+    const auto& factor = *static_cast<Factor*>(arguments[0].object);
+    const Seen first(arguments + 1, factor.scale.size()),
+        second(arguments + 1 + Seen::ARGUMENTS, factor.scale.size());
+    const Argument* rest = arguments + 1 + 2 * Seen::ARGUMENTS;
+    const Eigen::Map<const Matrix6d> beside(rest[0].array.as<double>());
+    std::vector<Index> rows = first.rows;
+    rows.insert(rows.end(), second.rows.begin(), second.rows.end());
+    const RowMajor shared = covariance_of(factor, rows);
+    Eigen::Matrix<double, 6, Eigen::Dynamic> by(6, shared.cols());
+    for (Index k = 0; k < first.modes(); ++k) {
+        const Pose old = first.pose(k);
+        const Matrix6d own = first.own(k) + beside;
+        by.leftCols(static_cast<Index>(first.rows.size())) = -first.by_rows(k);
+        for (Index m = 0; m < second.modes(); ++m) {
+            by.rightCols(static_cast<Index>(second.rows.size())) = second.by_rows(m);
+            const Matrix6d spread = by * shared * by.transpose() + own + second.own(m);
+            const Vector6d error = second.pose(m).difference(old);
+            const Eigen::PartialPivLU<Matrix6d> parts(spread);
+            const double cost = error.dot(parts.solve(error)) +
+                                parts.matrixLU().diagonal().array().abs().log().sum();
+            if (!std::isfinite(cost)) throw std::invalid_argument("poses that nothing determines");
+            rest[1].array.as<double>()[second.modes() * k + m] =
+                cost + first.evidence(k) + second.evidence(m);
+        }
     }
-    if (size == 0 || !factor.is_positive()) throw std::invalid_argument("nothing is factorised");
-    const Eigen::MatrixXd solved = factor.scale.asDiagonal() * factor.parts.solve(unit);
-    Eigen::Map<RowMajor> covariance(arguments[2].array.as<double>(), count, count);
-    for (Index i = 0; i < count; ++i)
-        for (Index j = 0; j < count; ++j)
-            covariance(i, j) = 0.5 * (solved(rows[i], j) + solved(rows[j], i));
     return 0;
 }

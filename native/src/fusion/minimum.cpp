@@ -1,12 +1,12 @@
-// The minimum of a least-squares problem, by Levenberg and Marquardt's damping, and what its
-// equations there tell of the unknowns.
+// By Levenberg and Marquardt's damping.
+#include "fusion/minimum.hpp"
+
 #include <Eigen/Cholesky>
 #include <cmath>
 #include <limits>
 #include <stdexcept>
 
 #include "border.hpp"
-#include "fusion/problem.hpp"
 
 using namespace trigpoint;
 
@@ -17,12 +17,6 @@ namespace {
 // there is soon none.
 constexpr double DAMPING_LEAST = 1e-6, DAMPING_NONE = 1e-9, DAMPING_END = 1e8;
 constexpr std::int64_t MOST_EVER = 10'000;
-
-// The equations of least squares where a minimum was looked for last.
-struct Linearised {
-    Equations equations;
-    double log_held = 0;  // ln |information| of what is held exactly
-};
 
 // The dense part after the chains are eliminated.
 class Reduced {
@@ -99,54 +93,77 @@ void write_out(const Equations& equations, Eigen::MatrixXd& matrix, Eigen::Vecto
 
 }  // namespace
 
+Found trigpoint::minimised(const Argument* given, const Problem& problem, Linearised& linearised) {
+    const std::int64_t most = given[MOST_ITERATIONS].whole;
+    if (most < 0 || most > MOST_EVER) throw std::invalid_argument("so many iterations are none");
+    const double huber = given[HUBER].number;
+    State state = problem.state();
+    Equations equations = problem.equations(), candidate = equations;
+    problem.linearise(state, huber, equations);
+    Reduced reduced(equations);
+    Step step;
+    double damping = 0, promised = 0;
+    Found found{0, 0, 0, false};
+    while (found.iterations < most && damping < DAMPING_END) {
+        ++found.iterations;
+        if (!reduced.solve(equations, damping, step, promised)) {
+            damping = std::max(damping * 100, DAMPING_LEAST);
+            continue;
+        }
+        found.has_converged = promised < given[TOLERANCE].number;
+        if (found.has_converged) break;
+        State moved = problem.moved(state, step);
+        problem.linearise(moved, huber, candidate);
+        if (std::isfinite(candidate.cost) && candidate.cost <= equations.cost) {
+            std::swap(state, moved);
+            std::swap(equations, candidate);
+            damping = damping > DAMPING_NONE ? damping / 30 : 0;
+        } else {
+            damping = std::max(damping * 30, DAMPING_LEAST);
+        }
+    }
+    problem.put(state);
+    found.cost = equations.cost;
+    // Of the robust cost they would not give the covariance.
+    if (std::isfinite(huber))
+        problem.linearise(state, std::numeric_limits<double>::infinity(), equations);
+    found.plain_cost = equations.cost;
+    linearised.log_held = static_cast<double>(problem.held()) * std::log(given[EXACT].number);
+    linearised.equations = std::move(equations);
+    return found;
+}
+
+bool System::set(const Linearised& linearised) {
+    Eigen::MatrixXd matrix;
+    Eigen::VectorXd gradient;
+    write_out(linearised.equations, matrix, gradient);
+    const Index size = gradient.size();
+    const Eigen::VectorXd scale = matrix.diagonal().cwiseMax(1e-300).array().rsqrt();
+    matrix = (scale.asDiagonal() * matrix * scale.asDiagonal()).eval();
+    if (!std::isfinite(linearised.equations.cost) || !factorised(matrix)) return false;
+    Eigen::MatrixXd root = Eigen::MatrixXd::Identity(size, size);
+    matrix.triangularView<Eigen::Lower>().solveInPlace(root);
+    root = (root * scale.asDiagonal()).eval();
+    covariance.noalias() = root.transpose() * root;
+    step = -covariance * gradient;
+    log_determinant = 2 * (matrix.diagonal().array().log().sum() - scale.array().log().sum()) +
+                      linearised.equations.log_determinant - linearised.log_held;
+    return true;
+}
+
 TRIGPOINT_OBJECT(tp_equations, Linearised)
 
 // (the equations there, a problem and its state, as `Given` says): 1, or 0 where a motion is not
 // determined; the state is that of the minimum, and the score and the equations are its.
 TRIGPOINT_KERNEL(tp_minimised) {
-    const std::int64_t most = arguments[MOST_ITERATIONS].whole;
-    if (most < 0 || most > MOST_EVER) throw std::invalid_argument("so many iterations are none");
-    const double huber = arguments[HUBER].number;
-    auto& found = *static_cast<Linearised*>(arguments[EQUATIONS].object);
     double* score = arguments[SCORE].array.as<double>();
     try {
-        const Problem problem(arguments);
-        State state = problem.state();
-        Equations equations = problem.equations(), candidate = equations;
-        problem.linearise(state, huber, equations);
-        Reduced reduced(equations);
-        Step step;
-        double damping = 0, promised = 0;
-        std::int64_t iterations = 0;
-        bool has_converged = false;
-        while (iterations < most && damping < DAMPING_END) {
-            ++iterations;
-            if (!reduced.solve(equations, damping, step, promised)) {
-                damping = std::max(damping * 100, DAMPING_LEAST);
-                continue;
-            }
-            has_converged = promised < arguments[TOLERANCE].number;
-            if (has_converged) break;
-            State moved = problem.moved(state, step);
-            problem.linearise(moved, huber, candidate);
-            if (std::isfinite(candidate.cost) && candidate.cost <= equations.cost) {
-                std::swap(state, moved);
-                std::swap(equations, candidate);
-                damping = damping > DAMPING_NONE ? damping / 30 : 0;
-            } else {
-                damping = std::max(damping * 30, DAMPING_LEAST);
-            }
-        }
-        problem.put(state);
-        score[0] = equations.cost;
-        score[1] = static_cast<double>(iterations);
-        score[2] = has_converged;
-        // Of the robust cost they would not give the covariance.
-        if (std::isfinite(huber))
-            problem.linearise(state, std::numeric_limits<double>::infinity(), equations);
-        score[3] = equations.cost;
-        found.log_held = static_cast<double>(problem.held()) * std::log(arguments[EXACT].number);
-        found.equations = std::move(equations);
+        const Found found = minimised(arguments, Problem(arguments),
+                                      *static_cast<Linearised*>(arguments[EQUATIONS].object));
+        score[0] = found.cost;
+        score[1] = static_cast<double>(found.iterations);
+        score[2] = found.has_converged;
+        score[3] = found.plain_cost;
     } catch (const Undetermined&) {
         return 0;
     }
@@ -171,24 +188,14 @@ TRIGPOINT_KERNEL(tp_reduced) {
 // (1,)): 1, or 0 where an unknown is not determined or the cost is not finite; see
 // `equations.System`.
 TRIGPOINT_KERNEL(tp_full_system) {
+    System system;
     const auto& found = *static_cast<Linearised*>(arguments[0].object);
-    Eigen::MatrixXd matrix;
-    Eigen::VectorXd gradient;
-    write_out(found.equations, matrix, gradient);
-    const Index size = gradient.size();
+    if (!system.set(found)) return 0;
+    const Index size = system.step.size();
     if (arguments[2].array.shape[0] != size)
         throw std::invalid_argument("other columns are wanted");
-    const Eigen::VectorXd scale = matrix.diagonal().cwiseMax(1e-300).array().rsqrt();
-    matrix = (scale.asDiagonal() * matrix * scale.asDiagonal()).eval();
-    if (!std::isfinite(found.equations.cost) || !factorised(matrix)) return 0;
-    Eigen::Map<RowMajor> covariance(arguments[1].array.as<double>(), size, size);
-    Eigen::MatrixXd root = Eigen::MatrixXd::Identity(size, size);
-    matrix.triangularView<Eigen::Lower>().solveInPlace(root);
-    root = (root * scale.asDiagonal()).eval();
-    covariance.noalias() = root.transpose() * root;
-    Eigen::Map<Eigen::VectorXd>(arguments[2].array.as<double>(), size) = -covariance * gradient;
-    arguments[3].array.as<double>()[0] =
-        2 * (matrix.diagonal().array().log().sum() - scale.array().log().sum()) +
-        found.equations.log_determinant - found.log_held;
+    Eigen::Map<RowMajor>(arguments[1].array.as<double>(), size, size) = system.covariance;
+    Eigen::Map<Eigen::VectorXd>(arguments[2].array.as<double>(), size) = system.step;
+    arguments[3].array.as<double>()[0] = system.log_determinant;
     return 1;
 }

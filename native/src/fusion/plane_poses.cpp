@@ -105,13 +105,9 @@ bool are_on_a_line(const Plane& plane) {
 
 }  // namespace
 
-// (lens (p,), points (n, 3) with z = 0, pixels (n, 2), sigma, rotations (2, 3, 3), translations
-// (2, 3), rms (2,)): how many poses fit, best first; see `planar_poses`.
-TRIGPOINT_KERNEL(tp_plane_poses) {
-    const Lens lens(arguments[0].array.as<double>(), arguments[0].array.shape[0]);
-    const Eigen::Index count = arguments[1].array.shape[0];
-    const Points3 points(arguments[1].array.as<double>(), count, 3);
-    const Pixels pixels(arguments[2].array.as<double>(), count, 2);
+std::size_t trigpoint::plane_poses(const Lens& lens, const Points3& points, const Pixels& pixels,
+                                   double sigma, std::array<Fit, 2>& found) {
+    const Eigen::Index count = points.rows();
     const Plane plane = points.leftCols<2>();
     if (count < LEAST_CORNERS || !plane.allFinite() || are_on_a_line(plane)) return 0;
     Plane image(count, 2);
@@ -127,8 +123,7 @@ TRIGPOINT_KERNEL(tp_plane_poses) {
     if (!h.allFinite()) return 0;
     const Eigen::Vector2d centre = h.topRightCorner<2, 1>();
     const Eigen::Matrix2d slope = h.topLeftCorner<2, 2>() - centre * h.bottomLeftCorner<1, 2>();
-    const Eigen::VectorXd weights = Eigen::VectorXd::Constant(count, 1 / arguments[3].number);
-    std::array<Fit, 2> found;
+    const Eigen::VectorXd weights = Eigen::VectorXd::Constant(count, 1 / sigma);
     std::size_t kept = 0;
     for (const Eigen::Matrix3d& rotation : rotations_of(centre, slope)) {
         if (!rotation.allFinite()) continue;
@@ -141,6 +136,18 @@ TRIGPOINT_KERNEL(tp_plane_poses) {
             found[kept++] = fit;
     }
     if (kept == 2 && found[1].rms < found[0].rms) std::swap(found[0], found[1]);
+    return kept;
+}
+
+// (lens (p,), points (n, 3) with z = 0, pixels (n, 2), sigma, rotations (2, 3, 3), translations
+// (2, 3), rms (2,)): how many poses fit, best first; see `planar_poses`.
+TRIGPOINT_KERNEL(tp_plane_poses) {
+    const Lens lens(arguments[0].array.as<double>(), arguments[0].array.shape[0]);
+    const Eigen::Index count = arguments[1].array.shape[0];
+    std::array<Fit, 2> found;
+    const std::size_t kept =
+        plane_poses(lens, Points3(arguments[1].array.as<double>(), count, 3),
+                    Pixels(arguments[2].array.as<double>(), count, 2), arguments[3].number, found);
     for (std::size_t i = 0; i < kept; ++i) {
         const auto row = static_cast<Eigen::Index>(i);
         put_pose(found[i].pose, arguments[4].array.as<double>(), arguments[5].array.as<double>(),

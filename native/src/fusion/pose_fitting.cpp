@@ -161,22 +161,27 @@ double trigpoint::refine(const Lens& lens, Pose& pose, const Points3& points, co
     return pose.translation.norm() < FARTHEST_M ? rms : none;
 }
 
-// (lens (p,), rotations (b, 3, 3), translations (b, 3), points (b, n, 3), pixels (n, 2), weights
-// (n,), rms (b,)): poses become those of least reprojection error; rms is NaN where none is near.
-TRIGPOINT_KERNEL(tp_refined_poses) {
-    const Lens lens(arguments[0].array.as<double>(), arguments[0].array.shape[0]);
-    double *rotations = arguments[1].array.as<double>(), *shifts = arguments[2].array.as<double>();
-    const Array& points = arguments[3].array;
-    const Eigen::Index corners = points.shape[1];
-    const Pixels pixels(arguments[4].array.as<double>(), corners, 2);
-    const Weights weights(arguments[5].array.as<double>(), corners);
-    for (Eigen::Index b = 0; b < points.shape[0]; ++b) {
-        Pose pose = pose_at(rotations, shifts, b);
-        const Points3 mine(points.as<double>() + 3 * corners * b, corners, 3);
-        arguments[6].array.as<double>()[b] = refine(lens, pose, mine, pixels, weights);
-        put_pose(pose, rotations, shifts, b);
+Matrix6d trigpoint::covariance_of(const Lens& lens, const Pose& pose, const Points3& points,
+                                  double sigma, const Eigen::VectorXd& sigmas, double scale) {
+    const double weight = 1 / sigma;
+    const Pose camera{Eigen::Matrix3d::Identity(), Eigen::Vector3d::Zero()};
+    const Eigen::Index parameters = sigmas.size();
+    Eigen::MatrixXd by_lens(2, lens.parameters());
+    Matrix6d normal = Matrix6d::Zero();
+    Eigen::Matrix<double, 6, Eigen::Dynamic> pull = decltype(pull)::Zero(6, parameters);
+    for (Eigen::Index k = 0; k < points.rows(); ++k) {
+        const Eigen::Vector3d point = points.row(k).transpose();
+        const ByPose by = weight * projected(lens, pose, point, camera).by_body;
+        normal.noalias() += by.transpose() * by;
+        if (parameters == 0) continue;
+        lens.by_parameters(pose.rotation * point + pose.translation, by_lens);
+        pull.noalias() += by.transpose() * (weight * by_lens) * sigmas.asDiagonal();
     }
-    return 0;
+    if (!normal.allFinite() || !pull.allFinite())
+        throw std::invalid_argument("a corner that no camera sees");
+    const Matrix6d own = inverse_of(normal, OPEN_COVARIANCE);
+    const Eigen::Matrix<double, 6, Eigen::Dynamic> by = own * pull;
+    return scale * scale * own + by * by.transpose();
 }
 
 // (by pose (v, n, 12), residuals (v, n, 2), limit, steps (v, 6), is wild (v, n)): each sighting's
@@ -222,44 +227,6 @@ TRIGPOINT_KERNEL(tp_board_fits) {
             arguments[9].array.as<bool>()[b * count + k] = weight(k) == 0;
         }
         arguments[7].array.as<double>()[b] = score;
-    }
-    return 0;
-}
-
-// (lens (p,), rotations (b, 3, 3), translations (b, 3), points (b, n, 3), sigma, sigmas of the lens
-// (p,) or none, times the corners scatter, covariances (b, 6, 6)): of poses by their corners and
-// the lens.
-TRIGPOINT_KERNEL(tp_pose_covariances) {
-    const Lens lens(arguments[0].array.as<double>(), arguments[0].array.shape[0]);
-    const Array &points = arguments[3].array, &spread = arguments[5].array;
-    const Eigen::Index corners = points.shape[1], parameters = spread.shape[0];
-    if (parameters != 0 && parameters != lens.parameters())
-        throw std::invalid_argument("sigmas of another lens");
-    const Eigen::Map<const Eigen::VectorXd> sigmas(spread.as<double>(), parameters);
-    const double weight = 1 / arguments[4].number, scale = arguments[6].number;
-    const Pose camera{Eigen::Matrix3d::Identity(), Eigen::Vector3d::Zero()};
-    Eigen::MatrixXd by_lens(2, lens.parameters());
-    for (Eigen::Index b = 0; b < points.shape[0]; ++b) {
-        const Pose pose =
-            pose_at(arguments[1].array.as<double>(), arguments[2].array.as<double>(), b);
-        Matrix6d normal = Matrix6d::Zero();
-        Eigen::Matrix<double, 6, Eigen::Dynamic> pull = decltype(pull)::Zero(6, parameters);
-        for (Eigen::Index k = 0; k < corners; ++k) {
-            const Eigen::Vector3d point = Points3(points.as<double>(), points.shape[0] * corners, 3)
-                                              .row(b * corners + k)
-                                              .transpose();
-            const ByPose by = weight * projected(lens, pose, point, camera).by_body;
-            normal.noalias() += by.transpose() * by;
-            if (parameters == 0) continue;
-            lens.by_parameters(pose.rotation * point + pose.translation, by_lens);
-            pull.noalias() += by.transpose() * (weight * by_lens) * sigmas.asDiagonal();
-        }
-        if (!normal.allFinite() || !pull.allFinite())
-            throw std::invalid_argument("a corner that no camera sees");
-        const Matrix6d own = inverse_of(normal, OPEN_COVARIANCE);
-        const Eigen::Matrix<double, 6, Eigen::Dynamic> by = own * pull;
-        Eigen::Map<Matrix6d>(arguments[7].array.as<double>() + 36 * b) =
-            scale * scale * own + by * by.transpose();
     }
     return 0;
 }

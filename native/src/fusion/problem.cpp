@@ -262,40 +262,90 @@ void Problem::add_motions(const State& state, std::size_t r, Equations& equation
     }
 }
 
+std::vector<Pose> Problem::faces(const State& state, Index robot) const {
+    std::vector<Pose> found;
+    for (Index f = 0; f < robots_[at(robot)].face_count; ++f)
+        found.push_back(pose_of(state, FACES, robots_[at(robot)].first_face + f));
+    return found;
+}
+
+OdometryTerm Problem::motion(const State& state, Index row) const {
+    const auto robot = std::find_if(robots_.begin(), robots_.end(), [&](const Robot& each) {
+        return row < each.first_motion + each.motions;
+    });
+    require(robot != robots_.end());
+    const Index node = robot->first_node + row - robot->first_motion;
+    return {pose_of(state, NODES, node),
+            pose_of(state, NODES, node + 1),
+            pose_at(numbers(MOTIONS) + 12 * row),
+            Eigen::Map<const BySteps>(numbers(MOTION_BY_SCALE) + 12 * row),
+            robot->tangent,
+            AtMost6::Identity(robot->tangent.count, robot->tangent.count)};
+}
+
+const double* Problem::deviation(Index picture) const {
+    return whole(PICTURES, picture)[DEVIATES] != 0 ? numbers(DEVIATIONS) + 6 * picture : nullptr;
+}
+
+std::vector<Index> Problem::rows_of(Index index) const {
+    const Robot& robot = robots_.front();
+    const Index d = robot.tangent.count, dense = d * (robot.nodes - 1),
+                node = *(whole(PICTURES, index) + NODE);
+    std::vector<Index> found;
+    for (Index k = 0; k < d; ++k)
+        found.push_back(node + 1 < robot.nodes ? d * node + k : dense + robot.last.first + k);
+    const Camera& camera = cameras_[at(whole(PICTURES, index)[CAMERA])];
+    for (const Range& range : {camera.pose, camera.lens, camera.clock, robot.faces})
+        for (Index k = 0; k < range.count; ++k) found.push_back(dense + range.first + k);
+    return found;
+}
+
+Picture Problem::picture(const State& state, Index p, const std::vector<Pose>& faces) const {
+    const std::int64_t* picture = whole(PICTURES, p);
+    const Index eye = picture[CAMERA], corner = first_corner_[at(p)];
+    const Camera& camera = cameras_[at(eye)];
+    const Robot& robot = robots_[at(picture[ROBOT])];
+    const Pose node = pose_of(state, NODES, robot.first_node + picture[NODE]);
+    const bool has_clock = camera.clock.count > 0;
+    const double assumed_s = numbers(MOMENTS)[2 * p], since_s = numbers(MOMENTS)[2 * p + 1];
+    const double* twist = numbers(TWISTS) + 6 * p;
+    Pose seen = node;
+    if (has_clock) {
+        const double* clock = part(state, CLOCKS).row(eye).data();
+        const double early_s = assumed_s - (clock[0] + clock[1] * since_s);
+        seen = node.times(pose_at(numbers(WAYS) + 12 * p)
+                              .times(motion_of(early_s * Eigen::Map<const Vector6d>(twist))));
+    }
+    return {Lens(part(state, LENSES).row(eye).data(), camera.lens_parameters),
+            pose_of(state, CAMERA_POSES, eye),
+            node,
+            seen,
+            has_clock ? twist : nullptr,
+            since_s,
+            faces,
+            robot.tangent,
+            camera.lens.count > 0,
+            robot.faces.count > 0,
+            picture[CORNER_COUNT],
+            array(CORNER_FACES).as<std::int64_t>() + corner,
+            numbers(POINTS) + 3 * corner,
+            numbers(PIXELS) + 2 * corner,
+            numbers(WEIGHTS) + corner};
+}
+
 void Problem::add_pictures(const State& state, double huber, Equations& equations) const {
-    std::vector<std::vector<Pose>> faces(robots_.size());
+    std::vector<std::vector<Pose>> all_faces;
     for (std::size_t r = 0; r < robots_.size(); ++r)
-        for (Index f = 0; f < robots_[r].face_count; ++f)
-            faces[r].push_back(pose_of(state, FACES, robots_[r].first_face + f));
+        all_faces.push_back(faces(state, static_cast<Index>(r)));
     PictureEquations terms;
     for (Index p = 0; p < array(PICTURES).shape[0]; ++p) {
-        const std::int64_t* picture = whole(PICTURES, p);
-        const Index eye = picture[CAMERA], corner = first_corner_[at(p)];
-        const Camera& camera = cameras_[at(eye)];
-        const Robot& robot = robots_[at(picture[ROBOT])];
-        const Pose node = pose_of(state, NODES, robot.first_node + picture[NODE]);
-        const bool has_clock = camera.clock.count > 0;
-        const double assumed_s = numbers(MOMENTS)[2 * p], since_s = numbers(MOMENTS)[2 * p + 1];
-        const double* twist = numbers(TWISTS) + 6 * p;
-        Pose seen = node;
-        if (has_clock) {
-            const double* clock = part(state, CLOCKS).row(eye).data();
-            const double early_s = assumed_s - (clock[0] + clock[1] * since_s);
-            seen = node.times(pose_at(numbers(WAYS) + 12 * p)
-                                  .times(motion_of(early_s * Eigen::Map<const Vector6d>(twist))));
-        }
-        terms.set(
-            {Lens(part(state, LENSES).row(eye).data(), camera.lens_parameters),
-             pose_of(state, CAMERA_POSES, eye), node, seen, has_clock ? twist : nullptr, since_s,
-             faces[at(picture[ROBOT])], robot.tangent, camera.lens.count > 0, robot.faces.count > 0,
-             picture[CORNER_COUNT], array(CORNER_FACES).as<std::int64_t>() + corner,
-             numbers(POINTS) + 3 * corner, numbers(PIXELS) + 2 * corner, numbers(WEIGHTS) + corner},
-            picture[DEVIATES] != 0 ? numbers(DEVIATIONS) + 6 * p : nullptr, huber);
+        const std::int64_t* mine = whole(PICTURES, p);
+        terms.set(picture(state, p, all_faces[at(mine[ROBOT])]), deviation(p), huber);
         equations.cost += terms.cost;
         equations.log_determinant += terms.log_determinant;
-        equations.add(equations.chains[at(picture[ROBOT])], picture[NODE],
-                      picture[NODE] + 1 < robot.nodes ? 1 : 0, of_picture(p), terms.square,
-                      terms.square.rightCols<1>());
+        equations.add(equations.chains[at(mine[ROBOT])], mine[NODE],
+                      mine[NODE] + 1 < robots_[at(mine[ROBOT])].nodes ? 1 : 0, of_picture(p),
+                      terms.square, terms.square.rightCols<1>());
     }
 }
 

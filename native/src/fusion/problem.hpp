@@ -77,6 +77,17 @@ public:
     Index held() const;
     void linearise(const State& state, double huber, Equations& equations) const;
 
+    // A picture at a state; `faces`: of its robot there.
+    Picture picture(const State& state, Index picture, const std::vector<Pose>& faces) const;
+    std::vector<Pose> faces(const State& state, Index robot) const;
+    // Where the unknowns of a picture's terms are among all, the inner nodes first; of a problem of
+    // one robot.
+    std::vector<Index> rows_of(Index picture) const;
+    // The term of a motion between nodes at a state, its errors as they are, not in sigmas.
+    OdometryTerm motion(const State& state, Index motion) const;
+    // Variances (6,) of the robot's deviation in a picture; null where it has none.
+    const double* deviation(Index picture) const;
+
 private:
     struct Camera {
         Index lens_parameters;

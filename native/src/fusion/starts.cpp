@@ -68,9 +68,22 @@ struct Way {
 
 // A covariance in other axes.
 Matrix6d turned(const Matrix3d& turn, const Matrix6d& covariance) {
-    Matrix6d axes = Matrix6d::Zero();
-    axes.topLeftCorner<3, 3>() = axes.bottomRightCorner<3, 3>() = turn;
-    return axes * covariance * axes.transpose();
+    Matrix6d found;
+    for (const Index row : {0, 3})
+        for (const Index column : {0, 3})
+            found.block<3, 3>(row, column) =
+                turn * covariance.block<3, 3>(row, column) * turn.transpose();
+    return found;
+}
+
+// The covariance of something fixed to what has this one, `arm` away in the same axes: a turn
+// swings it.
+Matrix6d swung(const Vector3d& arm, const Matrix6d& covariance) {
+    const Matrix3d swing = -hat(arm);
+    Matrix6d found = covariance;
+    found.topRows<3>() += swing * covariance.bottomRows<3>();
+    found.leftCols<3>() += found.rightCols<3>() * swing.transpose();
+    return found;
 }
 
 double shifts(const Matrix6d& covariance) { return covariance.topLeftCorner<3, 3>().trace(); }
@@ -97,11 +110,8 @@ public:
         const Vector3d shift = seen.translation - other.map_from_base.translation;
         if (!(shift.squaredNorm() < FAR_SIGMAS * FAR_SIGMAS * variance)) return NEVER;
         // An error of the seed's own pose swings the robot in the other picture about where it is
-        // in the seed's.
-        Matrix6d lever = Matrix6d::Identity();
-        lever.topRightCorner<3, 3>() = -hat(camera_.rotation * arm);
-        // The other way's own covariance is in the axes of the same camera.
-        const Matrix6d spread = lever * own_ * lever.transpose() +
+        // in the seed's. The other way's own covariance is in the axes of the same camera.
+        const Matrix6d spread = swung(camera_.rotation * arm, own_) +
                                 turned(camera_.rotation, other.covariance) + other.deviation +
                                 drift;
         const Eigen::LLT<Matrix6d> root(spread);

@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+from trigpoint.fusion.association.agreement import AGREEMENT
 from trigpoint.fusion.association.factor import Factor
 from trigpoint.fusion.association.minimum import MINIMUM
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
+from trigpoint.geometry.uncertainty import lever, turned_axes
 
 NODES, PLACES, SCALES, OWN = 4, 2, 2, 3
 PLANAR = [0, 1, 5]
@@ -163,3 +165,33 @@ def test_terms_of_what_is_not_there_are_refused() -> None:
         drawn.found()
     with pytest.raises(RuntimeError, match="nothing is factorised"):
         Factor().covariance(np.zeros(0, dtype=int))
+
+
+def test_agreement_of_modes_is_by_the_graphs_joint_covariance() -> None:
+    random, factor = np.random.default_rng(7), Drawn.of(1).found()[-1]
+
+    def drawn(count: int, free: list[int], first: int) -> tuple[Array, ...]:
+        rows = np.full(6, -1)
+        rows[free] = first + np.arange(len(free))
+        base, seen = Pose.from_vector(random.normal(size=(1, 6))), random.normal(size=(count, 6))
+        square = 0.1 * random.normal(size=(count, 6, 6))
+        spread = square @ np.swapaxes(square, 1, 2) + 0.01 * np.eye(6)
+        return numbers(base), rows, numbers(Pose.from_vector(seen)), spread, seen[:, 0].copy()
+
+    old, new = drawn(2, PLANAR, 3), drawn(3, [*PLANAR, 2], 12)
+    beside, cost = 0.02 * np.eye(6), np.empty((2, 3))
+    AGREEMENT(factor, *old, *new, beside, cost)
+    unknowns = np.concatenate([side[1][side[1] >= 0] for side in (old, new)])
+    shared = factor.covariance(unknowns)
+    for k, m in np.ndindex(2, 3):
+        poses, by, own = [], [], beside
+        for side, mode, sign in ((old, k, -1), (new, m, 1)):
+            base = Pose.from_rows(side[0])[0]
+            pose, turn = base @ Pose.from_rows(side[2])[mode], turned_axes(base.rotation)
+            poses.append(pose)
+            by.append(sign * lever(pose.translation - base.translation)[:, side[1] >= 0])
+            own = own + turn @ side[3][mode] @ turn.T
+        error, both = poses[1].difference(poses[0]), np.concatenate(by, axis=1)
+        spread = both @ shared @ both.T + own
+        expected = error @ np.linalg.solve(spread, error) + np.linalg.slogdet(spread)[1]
+        assert cost[k, m] == pytest.approx(expected + old[4][k] + new[4][m], rel=1e-9)

@@ -1,51 +1,55 @@
-"""The way within the plane is held against the one that any way takes."""
+"""The core's motion is held against the one that is written out with numpy."""
 
 import numpy as np
 import pytest
+from support.fusion.slow_motion import UNKNOWN_VARIANCE, slow_motion
 
-from trigpoint.fusion.model.motion import (
-    UNKNOWN_VARIANCE,
-    StepNoise,
-    composed_in_plane,
-    composed_motion,
-)
+from trigpoint.base.clock import NANOSECONDS
+from trigpoint.fusion.model.odometry import OdometryTrack
+from trigpoint.geometry import Pose
+from trigpoint.site.config import OdometryNoise
 
-
-def steps_in_plane(
-    random: np.random.Generator, *, unknown: int
-) -> tuple[np.ndarray, StepNoise, np.ndarray]:
-    twists = np.zeros((60, 6))
-    twists[:, [0, 1, 5]] = random.normal(0.0, [0.05, 0.01, 0.2], (60, 3))
-    twists[10:14, 5] = [0.0, 1e-9, -3e-5, 2e-4]  # straight on, or nearly so
-    twists[30:35] = 0.0
-    noise = StepNoise(
-        along=random.uniform(0.0, 1e-4, (60, 3)),
-        slip=random.uniform(0.0, 1e-5, 60),
-        tilt=random.uniform(0.0, 1e-6, 60),
-        heading=random.uniform(0.0, 1e-4, 60),
-        is_unknown=np.isin(np.arange(60), random.choice(60, unknown, replace=False)),
-    )
-    segment = np.repeat(np.arange(9), [1, 9, 5, 15, 5, 1, 1, 3, 20])
-    return twists, noise, segment
+NOISE = OdometryNoise(0.01, 0.02, 0.03, 0.04, vertical=0.005, tilt=0.006, tilt_turn=0.007)
+PERIOD_NS = NANOSECONDS // 20
 
 
-@pytest.mark.parametrize("unknown", [0, 2])
+def drawn(random: np.random.Generator, *, planar: bool) -> OdometryTrack:
+    """A robot that drives, stands for a while, and whose odometry has a gap and a jump."""
+    track, pose, stamp_ns = OdometryTrack(NOISE, planar=planar), Pose.identity(), 0
+    for number in range(60):
+        step = random.normal(0.0, [0.02, 0.01, 0.005, 0.03, 0.03, 0.2])
+        step[[2, 3, 4]] *= not planar
+        step[5] *= number % 7 != 0  # straight on
+        still = 30 <= number < 35
+        pose = pose if still else pose @ Pose.from_vector(step)
+        if number in (40, 50):
+            pose = pose @ Pose(np.eye(3), np.array([2.0, 0.0, 0.0]))
+        stamp_ns += PERIOD_NS if number != 40 else 40 * PERIOD_NS
+        track.add(stamp_ns, pose)
+    return track.noisy(NOISE, slip=0.01, skid=0.02)
+
+
+@pytest.mark.parametrize("planar", [False, True])
 @pytest.mark.parametrize("scales", [(0.0, 0.0), (0.03, -0.05)])
-def test_motion_in_the_plane_is_composed_as_any_other(
-    unknown: int, scales: tuple[float, float]
-) -> None:
-    twists, noise, segment = steps_in_plane(np.random.default_rng(3), unknown=unknown)
-    found = composed_in_plane(twists, noise, segment, np.array(scales))
-    expected = composed_motion(twists, noise, segment, np.array(scales))
+def test_motion_is_composed_as_written_out(planar: bool, scales: tuple[float, float]) -> None:
+    random = np.random.default_rng(3)
+    track = drawn(random, planar=planar)
+    some = random.integers(track.first_ns, track.last_ns, 20)
+    at_messages = track.stamps_ns[[0, 5, 29, 30, 31, 34, 35, 59]]
+    moments = np.sort(np.concatenate([some, at_messages, some[:2]]))
+    found = track.motion(moments, np.array(scales))
+    expected = slow_motion(track, moments, np.array(scales))
     pose, other = found.earlier_from_later, expected.earlier_from_later
-    np.testing.assert_allclose(pose.rotation, other.rotation, rtol=0, atol=1e-14)
-    np.testing.assert_allclose(pose.translation, other.translation, rtol=0, atol=1e-14)
-    largest = UNKNOWN_VARIANCE if unknown else 1e-3
-    np.testing.assert_allclose(
-        found.covariance, expected.covariance, rtol=1e-12, atol=1e-14 * largest
-    )
-    np.testing.assert_allclose(found.by_scale, expected.by_scale, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(pose.rotation, other.rotation, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(pose.translation, other.translation, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(found.by_scale, expected.by_scale, rtol=0, atol=1e-12)
     np.testing.assert_array_equal(found.is_still, expected.is_still)
-    assert found.is_still.tolist() == [False] * 4 + [not np.any(noise.is_unknown[30:35])] + (
-        [False] * 4
-    )
+    unknown = expected.covariance[:, 5, 5] > UNKNOWN_VARIANCE / 2
+    for mine, them in ((unknown, 1e-9), (~unknown, 1e-15)):
+        assert np.any(mine)
+        np.testing.assert_allclose(
+            found.covariance[mine], expected.covariance[mine], rtol=1e-11, atol=them
+        )
+    assert track._gaps[40] > 0
+    assert np.flatnonzero(track._jumps).tolist() == [50]
+    assert 0 < np.sum(found.is_still) < len(found.is_still)

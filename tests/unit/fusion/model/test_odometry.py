@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from trigpoint.base.clock import to_ns
 from trigpoint.fusion.model.motion import Motion
-from trigpoint.fusion.model.odometry import ABOUT_S, Added, OdometryTrack
+from trigpoint.fusion.model.odometry import Added, OdometryTrack
 from trigpoint.geometry import Pose
 from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
@@ -319,7 +319,7 @@ def test_robot_goes_on_as_it_did_beyond_the_odometrys_ends_and_across_a_jump() -
 def test_twist_about_a_moment_goes_over_from_one_message_to_the_next() -> None:
     """A camera that is triggered with the odometry sees the robot just where its twist jumps."""
     track = track_of(way(9, planar=False), planar=False)
-    around = 4 + np.array([-2.0, -0.5, 0.0, 0.5, 2.0]) * to_ns(ABOUT_S) / PERIOD_NS
+    around = 4 + np.array([-2.0, -0.5, 0.0, 0.5, 2.0]) * to_ns(2e-3) / PERIOD_NS
     found = track.twists_about(moments(*around))
     _, (before, _, after) = track.carried(moments(3.5, 4, 4.5), np.zeros(3), NO_SCALES)
     np.testing.assert_allclose(found[[0, -1]], [before, after], atol=1e-6)

@@ -1,13 +1,17 @@
-"""Held against `readings_rms_px`, which looks at one view after the other."""
+"""Held against the corners' projections, and a target's own outlines, one view after the other."""
 
 import numpy as np
 import pytest
+from support.fusion.slow_readings import outermost, slow_rms_px
 
 from trigpoint.fusion.model.observations import Reading, View, observation_of
 from trigpoint.fusion.model.rolling_shutter import Sweep
-from trigpoint.fusion.reading import faces
-from trigpoint.fusion.reading.best_readings import best_readings, read_where_they_are
-from trigpoint.fusion.reading.visibility import by_reading, outermost
+from trigpoint.fusion.reading.best_readings import (
+    best_readings,
+    read_where_they_are,
+    readings_rms_px,
+)
+from trigpoint.fusion.reading.visibility import body_of, by_reading
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.site.target import Target
 from trigpoint.tools.simulation.sight.targets import target_of
@@ -32,7 +36,7 @@ def random_view(target: Target, random: np.random.Generator) -> View:
 
 def best_reading(view: View, target: Target, camera_from_base: Pose) -> tuple[Reading, float]:
     """The reading of least RMS for a pose, and that."""
-    rms = faces.readings_rms_px(view, target, LENS, Pose.stack([camera_from_base]))[0]
+    rms = slow_rms_px(view, target, LENS, camera_from_base)
     best = int(np.argmin(rms))
     return view.readings[best], float(rms[best])
 
@@ -48,6 +52,16 @@ def test_many_views_are_read_as_each_by_itself(kind: str) -> None:
     assert readings == [reading for reading, _ in expected]
     np.testing.assert_allclose(rms, [each for _, each in expected], rtol=1e-9)
     assert 20 < np.sum(np.isfinite(rms)) < 280  # both happen
+
+
+def test_every_reading_has_its_own_misfit() -> None:
+    target, random = target_of("checkerboard"), np.random.default_rng(5)
+    views = [random_view(target, random) for _ in range(40)]
+    poses = Pose.from_vector(random.normal(0.0, 0.6, (40, 6)) + 2 * np.eye(6)[2])
+    numbers, rms = readings_rms_px(views, target, LENS, poses)
+    expected = [slow_rms_px(view, target, LENS, poses[row]) for row, view in enumerate(views)]
+    np.testing.assert_allclose(rms, np.concatenate(expected), rtol=1e-9)
+    np.testing.assert_array_equal(numbers, [int(np.argmin(each)) for each in expected])
 
 
 def test_pictures_get_their_own_views_readings() -> None:
@@ -66,7 +80,7 @@ def test_pictures_get_their_own_views_readings() -> None:
 
 def test_turned_reading_names_corners_from_the_other_end() -> None:
     target = target_of("checkerboard")
-    body = faces.body_of(target)
+    body = body_of(target)
     corners = np.array([0, 3, 7])
     both = (Reading(2), Reading(2, is_turned=True))
     upright, turned = by_reading(View(corners, np.zeros((3, 2)), 0.2, both), body)

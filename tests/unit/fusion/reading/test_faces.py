@@ -1,5 +1,7 @@
 """Which face a picture shows and which way up: the truth is always among the candidates."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from support.fusion.drives import lens
@@ -8,6 +10,7 @@ from trigpoint.contract.messages import FaceSighting
 from trigpoint.fusion.model.observations import Observation, Reading, View, observation_of, view_of
 from trigpoint.fusion.model.odometry import PLANAR, SPATIAL
 from trigpoint.fusion.reading import alignment, faces
+from trigpoint.fusion.reading.best_readings import readings_rms_px
 from trigpoint.geometry import Pose
 from trigpoint.site.config import CameraConfig
 from trigpoint.site.target import Target
@@ -85,6 +88,15 @@ def test_two_faces_seen_as_a_solid_have_one_solution() -> None:
     assert near(good[0], pose, 0.02)
 
 
+def test_weights_are_those_of_the_corners() -> None:
+    target, pose = target_of("charuco"), Pose.planar(0.0, 0.0, 0.5)
+    observation, _ = picture(target, pose, most=2)
+    good, bad = observation.views
+    bad = replace(bad, pixels=bad.pixels + 5.0, sigma=1e3)
+    found = faces.candidates(observation_of("c1", "r1", 0, (good, bad)), target, LENS)
+    assert any(near(candidate, pose, 1e-3) for candidate in found)
+
+
 @pytest.mark.parametrize(
     "corners", [[0, 1, 2], [0, 1, 2, 3], []], ids=["three", "on a line", "none"]
 )
@@ -120,14 +132,14 @@ def test_face_that_turns_its_back_is_no_reading() -> None:
     target, pose = target_of("checkerboard"), Pose.planar(0.0, 0.0, 0.4)
     observation, truth = picture(target, pose, most=1)
     view, camera_from_base = observation.views[0], EYE.inverse() @ pose
-    rms = faces.readings_rms_px(view, target, LENS, Pose.stack([camera_from_base]))[0]
+    _, rms = readings_rms_px([view], target, LENS, Pose.stack([camera_from_base]))
     best, second = np.argsort(rms)[:2]
     assert view.readings[best] == truth[0]
     assert rms[best] < 0.01 < rms[second]
     back = Reading(truth[0].face ^ 1)  # the other side of the vane
     only_back = View(view.corners, view.pixels, SIGMA, (back,))
-    rms = faces.readings_rms_px(only_back, target, LENS, Pose.stack([camera_from_base]))
-    assert rms.tolist() == [[np.inf]]
+    _, rms = readings_rms_px([only_back], target, LENS, Pose.stack([camera_from_base]))
+    assert rms.tolist() == [np.inf]
 
 
 def aligned(

@@ -6,7 +6,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from support.fusion.drives import lens
 
-from trigpoint.fusion.reading.planar_pose import planar_poses, refined_poses
+from trigpoint.fusion.reading.planar_pose import planar_poses
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
@@ -91,35 +91,6 @@ def test_corners_all_at_one_place_give_no_nonsense() -> None:
     for fit in planar_poses(lens(), grid(), np.full((len(grid()), 2), 200.0), SIGMA):
         assert np.all(np.isfinite(fit.pose.translation))
         assert np.linalg.norm(fit.pose.translation) < 1e3
-
-
-def refined_pose(lens, start: Pose, points, pixels, sigma):
-    return refined_poses(lens, Pose.stack([start]), points[None], pixels, sigma)[0]
-
-
-def test_refining_starts_nowhere_behind_the_camera() -> None:
-    behind = Pose(np.eye(3), np.array([0.0, 0.0, -1.0]))
-    assert refined_pose(lens(), behind, grid(), np.zeros((len(grid()), 2)), SIGMA) is None
-
-
-def test_refining_finds_the_pose_of_solid_points() -> None:
-    random, model, true = np.random.default_rng(2), lens(), facing(0.5, 1.0, 1.5)
-    solid = grid() + random.normal(0.0, 0.05, grid().shape)
-    start = true.disturbed([0.02, -0.01, 0.05, 0.1, -0.1, 0.1])
-    fit = refined_pose(model, start, solid, model.project(true @ solid), SIGMA)
-    assert fit is not None
-    assert error(fit.pose, true) < 1e-8
-
-
-def test_weights_are_those_of_the_corners() -> None:
-    model, true = lens(), facing(0.5, 1.0, 1.0)
-    pixels = model.project(true @ grid())
-    pixels[0] += 5.0
-    sigma = np.full(len(grid()), SIGMA)
-    sigma[0] = 1e3
-    fit = refined_pose(model, true, grid(), pixels, sigma)
-    assert fit is not None
-    assert error(fit.pose, true) < 1e-5
 
 
 def test_lens_without_distortion_and_with_it_agree() -> None:

@@ -7,7 +7,7 @@ import pytest
 from support.fusion.small_problems import small_problem
 
 from trigpoint.fusion.model.jitter import Jitter
-from trigpoint.fusion.model.prediction import batch_jacobians, batch_residual
+from trigpoint.fusion.model.prediction import base_jacobian, batch_jacobian, batch_residual
 from trigpoint.fusion.model.problem import Batch, Problem, State
 from trigpoint.fusion.solver.levenberg_marquardt import linearise
 from trigpoint.fusion.solver.picture_jitter import PictureJitter
@@ -42,7 +42,8 @@ def swayed(state: State, batch: Batch, by: np.ndarray) -> State:
 def test_a_picture_weighs_with_the_inverse_of_its_joint_covariance() -> None:
     problem, batch, state = shaken()
     n, shared = len(batch.nodes), np.diag(JITTER.variances)
-    jacobian, residual, _, by_base = batch_jacobians(problem, batch, state)
+    jacobian, residual, _ = batch_jacobian(problem, batch, state)
+    by_base = base_jacobian(batch, state)
     jacobian, by = jacobian.reshape(n, -1, jacobian.shape[-1]), by_base.reshape(n, -1, 6)
     residual = residual.reshape(n, -1)
     weight = np.linalg.inv(np.eye(by.shape[1]) + by @ shared @ np.swapaxes(by, 1, 2))
