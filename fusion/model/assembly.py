@@ -74,23 +74,6 @@ def assemble(
     return Assembled(Problem(chains, batches, priors, layout), start, node_of)
 
 
-def reassemble(before: Assembled, data: DataSet, state: State) -> Assembled:
-    """Assemble the same entries, otherwise read or judged, about another state with the same clocks
-    and scales: only the pictures and the start are made anew; not of an anchored problem."""
-    problem, node_of = before.problem, before.node_of
-    nodes = {
-        robot: _start_poses(chain, _guesses(data, robot, node_of))
-        for robot, chain in problem.chains.items()
-    }
-    start = State(
-        {name: state.cameras[name] for name in before.start.cameras},
-        {robot: replace(state.robots[robot], map_from_base=nodes[robot]) for robot in nodes},
-    )
-    entries = list(node_of)
-    batches = _batches(data, state, problem.chains, nodes, entries, node_of, problem.layout)
-    return Assembled(replace(problem, batches=batches), start, node_of)
-
-
 def _cameras_of(data: DataSet, state: State, entries: list[int], *, anchored: bool) -> list[str]:
     seen = {data.entries[index].observation.camera for index in entries}
     known = set(data.known.poses) if anchored else set()

@@ -56,9 +56,9 @@ class Pose:
 
     def rows(self) -> Array:
         """As the compiled core takes poses: the rotation row by row, then the translation;
-        (n, 12), one pose as a row of its own."""
+        (n, 12) in one piece, one pose as a row of its own."""
         rotation, translation = self.rotation.reshape(-1, 9), self.translation.reshape(-1, 3)
-        return np.concatenate([rotation, translation], axis=1)
+        return np.ascontiguousarray(np.concatenate([rotation, translation], axis=1))
 
     def repeated(self, count: int) -> "Pose":
         """This pose `count` times; read-only."""

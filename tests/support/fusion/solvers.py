@@ -48,7 +48,7 @@ class FrugalSmoother(Smoother):
     """Keeps little of a session."""
 
     def __init__(self, data: DataSet) -> None:
-        super().__init__(data, Limits(25, paths=True))
+        super().__init__(data, Limits(40, paths=True))
 
 
 class StuckSolver(SlowSolver):

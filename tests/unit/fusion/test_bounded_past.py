@@ -178,7 +178,7 @@ def test_a_long_recording_is_worked_out_part_by_part(
     assert np.diff(stamps_ns).max() <= to_ns(0.15)
     apart = poses.difference(whole[np.searchsorted(whole_ns, stamps_ns)])
     assert np.abs(apart[:, :2]).max() < 0.03
-    assert np.abs(apart[:, 5]).max() < 0.01
+    assert np.abs(apart[:, 5]).max() < 0.03
 
 
 def test_moved_cameras_are_noticed_before_and_after_a_past() -> None:

@@ -144,3 +144,8 @@ def test_rows_are_poses_as_the_core_takes_them() -> None:
     np.testing.assert_array_equal(Pose.from_rows(rows).rotation, poses.rotation)
     np.testing.assert_array_equal(Pose.from_rows(rows[2]).translation, poses[2].translation)
     assert rows_of([]).shape == (0, 12)
+    columns = Pose(
+        np.asfortranarray(poses.rotation.reshape(5, 9)).reshape(5, 3, 3, order="F"),
+        np.asfortranarray(poses.translation),
+    )
+    assert columns.rows().flags.c_contiguous
