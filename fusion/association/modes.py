@@ -100,6 +100,14 @@ class Memory:
             self.lenses[camera] = found.modes[0].camera.lens
             self._told_by[camera] = pictures
 
+    def keep(self, observations: Iterable[Observation]) -> None:
+        """Drop what is of other observations than these."""
+        kept = {(o.camera, o.robot, o.stamp_ns): o for o in observations}
+        self._scattering = {k: found for k, found in self._scattering.items() if k[:3] in kept}
+        scattered = [found for _, found in self._scattering.values()]
+        views = {view for o in (*kept.values(), *scattered) for view in o.views}
+        self.alone = {key: found for key, found in self.alone.items() if key[0] in views}
+
     def forget_unused(self) -> None:
         """Drop what was not asked for since the last call."""
         self._kept, self._used = self._used, {}

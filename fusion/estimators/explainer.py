@@ -71,7 +71,8 @@ class Explainer:
         self._observations = [
             each for each in self._observations if not past.is_over(each.robot, each.stamp_ns)
         ]
-        self._memory, self._explained = Memory(), -1
+        self._memory.keep(self._observations)
+        self._explained = -1
 
     def camera_moved(self) -> None:
         """Note that the data tell of another move of a camera."""

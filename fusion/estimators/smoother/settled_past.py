@@ -71,7 +71,7 @@ class Limits:
         return own_ns if unseen <= _MOST_UNSEEN_ODOMETRY else cut_ns
 
 
-LIVE = Limits(3_000)
+LIVE = Limits(1_500)
 OF_A_SESSION = Limits(10_000, 600_000, paths=True)
 """Of a recording, which is explained as a whole as long as a machine can bear."""
 
