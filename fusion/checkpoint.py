@@ -124,6 +124,8 @@ class Checkpoint:
         # Half of it may be written where the disk is full; that is passed over when it is read.
         self._waiting, self._count = bytearray(), 0
         try:
+            if self._file.closed:  # the disk did not take another file
+                self._file = self._path.open("ab", buffering=0)
             while waiting:
                 del waiting[: self._file.write(waiting)]
             os.fdatasync(self._file.fileno())

@@ -103,6 +103,7 @@ class MapStorage:
             )
             return None
         self._note(self._reading, message)
+        self._count += self._reading == self._path
         return message if self._is_needed(key, message) else None
 
     def _is_needed(self, key: str, message: Message) -> bool:
@@ -137,9 +138,10 @@ class MapStorage:
     def _go_on_in_another_file(self) -> None:
         full = next_full_file(self._folder)
         self._checkpoint.continue_in_another(full)
-        self._full.append(full)
-        self._newest_ns[full] = self._newest_ns.pop(self._path, 0)
         self._count = 0
+        if full.exists():
+            self._full.append(full)
+            self._newest_ns[full] = self._newest_ns.pop(self._path, 0)
 
     def settle(self, past: Past | None) -> None:
         """Store a past in place of its messages, where that is not done: files that have no others
@@ -150,7 +152,7 @@ class MapStorage:
         try:
             save_past(self._folder / PAST, past, self._site)
             for path in [path for path in self._full if self._is_over(path, past)]:
-                path.unlink()
+                path.unlink(missing_ok=True)
                 self._full.remove(path)
         except OSError as reason:
             _log.warning(
@@ -161,7 +163,7 @@ class MapStorage:
 
     def _is_over(self, path: Path, past: Past) -> bool:
         newest_ns = self._newest_ns.get(path)
-        return newest_ns is not None and newest_ns < past.end_ns - ODOMETRY_BEFORE_NS
+        return newest_ns is not None and newest_ns < past.begin_ns - ODOMETRY_BEFORE_NS
 
     def flush(self) -> None:
         """Hand what was stored to the disk, at most twice a second."""

@@ -12,6 +12,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from trigpoint.base.errors import OperationError
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.map.network import EarlierPose, IntrinsicsRecord
@@ -63,7 +64,8 @@ def save_past(path: Path, past: Past, site: Site) -> None:
 
 def load_past(path: Path, site: Site, targets: dict[str, Target]) -> Past | None:
     """The past of a map; None where there is none, or where the file is damaged, which is logged
-    and the file kept under another name. Of cameras and robots that the site file lost, and of what
+    or knows no camera of the site, and the file is kept under another name. Raises OperationError
+    for another site's. Of cameras and robots that the site file lost, and of what
     it does not estimate any more, nothing is taken."""
     try:
         data = path.read_bytes()
@@ -79,7 +81,20 @@ def load_past(path: Path, site: Site, targets: dict[str, Target]) -> Past | None
             set_aside(path),
         )
         return None
-    return _past(msgspec.msgpack.decode(body, type=_Document), site, targets)
+    document = msgspec.msgpack.decode(body, type=_Document)
+    if document.site != site.name:
+        raise OperationError(
+            f"{path}: the past of another site ({document.site}); give another --out"
+        )
+    past = _past(document, site, targets)
+    if past.known.poses:
+        return past
+    _log.error(
+        "%s: it knows none of this site's cameras; a new map begins (the file is kept as %s)",
+        path,
+        set_aside(path),
+    )
+    return None
 
 
 def _document(past: Past, site: Site) -> _Document:

@@ -274,7 +274,8 @@ def settings_of(site: Site) -> SinkSettings:
     return SinkSettings(
         compression=Compression[wanted.compression.upper()],
         synchronise_s=wanted.synchronise,
-        split_bytes=wanted.split_bytes,
+        # So that there are old parts to remove.
+        split_bytes=min(filter(None, (wanted.split_bytes, wanted.budget / 8)), default=0.0),
         split_s=wanted.split_time,
         daily=wanted.daily,
         room=Room(

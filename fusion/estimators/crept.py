@@ -28,12 +28,14 @@ def crept(data: DataSet, after: Filter) -> dict[str, Array]:
     where it is not negligible."""
     end_ns, found = newest_ns(data), {}
     for name, camera in data.site.cameras.items():
-        if end_ns is None or not after.has_camera(name):
+        places = [place for place in data.places_of(name) if after.has_camera(place)]
+        if end_ns is None or not places:
             continue
-        spread = Creep.of(camera).covariance(_age_ns(data, name, end_ns))
-        variances = np.diagonal(after.known.covariance_of(after.layout.pose[name]))
+        place = places[-1]
+        spread = Creep.of(camera).covariance(_age_ns(data, place, end_ns))
+        variances = np.diagonal(after.known.covariance_of(after.layout.pose[place]))
         if np.any(np.diagonal(spread) > _LITTLE * variances):
-            found[name] = spread
+            found[place] = spread
     return found
 
 
@@ -41,7 +43,7 @@ def _age_ns(data: DataSet, camera: str, end_ns: int) -> float:
     """The mean age of what a camera's pose rests on. What was known of it beforehand is as old as
     the session, and may weigh as much as all sightings."""
     if camera in data.known.poses:
-        return end_ns - data.begin_ns
+        return end_ns - max(data.begin_ns, data.known_at_start.until_ns or 0)
     used = [
         end_ns - entry.observation.stamp_ns
         for entry in data.of_camera(camera)

@@ -154,7 +154,7 @@ def _robot(
         record = PoseRecord.of(base_from_face[index])
         faces.append(FaceRecord(face.id, record.translation, record.quaternion))
     map_from_odom = None
-    if trajectory is not None and len(track):
+    if trajectory is not None and len(track) and trajectory[0][-1] == track.last_ns:
         map_from_odom = PoseRecord.of(trajectory[1][-1] @ track.reported.inverse())
     distance_scale, heading_scale = (1 + estimator.scales(name)).tolist()
     return RobotRecord(

@@ -47,5 +47,5 @@ class Nudges:
         return new
 
     def _is_before(self, move: CameraMove) -> bool:
-        begin_ns = self._data.begin_ns
-        return move.since_ns < begin_ns if begin_ns else not self._data.known.poses
+        settled_ns = self._data.settled_ns
+        return move.since_ns < settled_ns if settled_ns else not self._data.known.poses

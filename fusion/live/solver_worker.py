@@ -34,7 +34,7 @@ class SolverWorker:
         self._data, self._smoother = data, Smoother(data, limits)
         self._count = 0
         self._orders = 0
-        self._told = data.past
+        self._told, self._solutions = data.past, 0
 
     def carry_out(self, order: Order) -> Iterator[News]:
         """Carry out an order; yields the news from it."""
@@ -70,13 +70,13 @@ class SolverWorker:
             yield Event("unusable", update.problem)
 
     def _solve(self) -> Iterator[News]:
-        solutions = self._smoother.solutions
         self._smoother.finish()
         events, self._data.events = self._data.events, []
         yield from events
         known = self._smoother.current.known
-        if known is None or self._smoother.solutions == solutions:
+        if known is None or self._smoother.solutions == self._solutions:
             return
+        self._solutions = self._smoother.solutions
         try:
             known = known.settled()
         except LinAlgError:

@@ -154,6 +154,11 @@ class DataSet:
         return next((track.first_ns for track in tracks if len(track)), 0)
 
     @property
+    def settled_ns(self) -> int:
+        """What happened to cameras before then is settled."""
+        return self.begin_ns if self.past is None else self.past.end_ns
+
+    @property
     def map_since_ns(self) -> int | None:
         """The stamp of the map's first odometry message of the first robot; None before it."""
         if self.past is not None and self.past.map_since_ns is not None:
@@ -244,7 +249,7 @@ class DataSet:
             self.tracks[robot].forget_before(since_ns - ODOMETRY_BEFORE_NS)
         self.moves.clear()
         self.changes.clear()
-        self.told = [told for told in self.told if told.since_ns >= self.begin_ns]
+        self.told = [told for told in self.told if told.since_ns >= past.end_ns]
 
     def forget_from(self, index: int) -> None:
         """Drop the entries from this one on."""

@@ -94,6 +94,22 @@ class KnownCameras:
         wider = np.linalg.inv(self.covariance + crept)
         return replace(self, information=wider, until_ns=stamp_ns)
 
+    def beside(self, other: "KnownCameras") -> "KnownCameras":
+        """With the faces and values that another one has too, independent of these."""
+        if not other.faces and not other.values:
+            return self
+        poses = 6 * len(self.poses) + 6 * sum(len(faces) for faces in self.faces.values())
+        faces = 6 * sum(len(each) for each in other.faces.values())
+        sizes = poses, len(self.information) - poses, faces, len(other.information) - faces
+        order = np.argsort(np.repeat([0, 2, 1, 3], sizes), kind="stable")  # faces before values
+        both = block_diagonal(self.information, other.information)
+        return replace(
+            self,
+            information=both[np.ix_(order, order)],
+            faces={**self.faces, **other.faces},
+            values={**self.values, **other.values},
+        )
+
     def without(self, is_gone: Callable[[str, str], bool]) -> "KnownCameras":
         """The same without some of it, which is taken out of the joint distribution; `is_gone`: by
         what it is ("pose", "faces", or the kind of a value) and whose."""
@@ -113,6 +129,14 @@ class KnownCameras:
             faces={n: faces for n, faces in self.faces.items() if not is_gone("faces", n)},
             values={key: value for key, value in self.values.items() if not is_gone(*key)},
         )
+
+
+def block_diagonal(first: Array, second: Array) -> Array:
+    """Two square matrices as one, with nothing between them."""
+    size = len(first)
+    whole = np.zeros((size + len(second),) * 2)
+    whole[:size, :size], whole[size:, size:] = first, second
+    return whole
 
 
 def known_cameras(

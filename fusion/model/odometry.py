@@ -158,7 +158,8 @@ class OdometryTrack:
         """Merge the last message with the one before it, where the robot has stood for long."""
         is_there = not self._jumps[row] and self._is_without_motion(row)
         self._standing = self._standing + 1 if is_there else 0
-        if self._standing > MOST_STANDING and self._stands(row) and self._stands(row - 1):
+        is_step = row > 1 and self._stands(row) and self._stands(row - 1)
+        if self._standing > MOST_STANDING and is_step:
             self._stamps[row - 1] = self._stamps[row]
             self._count = row
 

@@ -86,10 +86,12 @@ def session_files(path: Path, *, takes_several: bool = False) -> list[Path]:
 
 
 def spans(folder: Path) -> list[tuple[Path, int, int]]:
-    """Every file of the recordings in a folder and in its folders, with its first and last log
-    time, ns, in order of time. What is no MCAP file, or has no messages, is left out."""
+    """Every file of the recordings in a folder and in its folders, or the one file, with its first
+    and last log time, ns, in order of time. What is no MCAP file, or has no messages, is left
+    out."""
     found = []
-    for file in [*folder.glob("*.mcap"), *folder.glob("*/*.mcap")]:
+    files = [*folder.glob("*.mcap"), *folder.glob("*/*.mcap")]
+    for file in [folder] if folder.is_file() else files:
         try:
             chunks = read_index(file).chunks
         except RecordingError:

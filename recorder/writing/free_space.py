@@ -3,6 +3,7 @@
 import os
 from collections.abc import Iterable
 from dataclasses import dataclass
+from glob import escape
 from pathlib import Path
 
 from trigpoint.base.disk import free_bytes
@@ -26,37 +27,39 @@ class Room:
         """Why there is no room to go on, "" where there is.
 
         The oldest finished sessions are removed first, as far as that is allowed, never one whose
-        end was not written; of the one in the folder `running` then its `finished` parts, given in
-        their order.
+        end was not written; for the budget then the `finished` parts, given in their order, of the
+        one in the folder `running`, but for the last.
         """
-        parts = [part for part in finished if part.exists()]
-        while lack := self._lack(running):
-            why, may_remove = lack
-            oldest = self._oldest(running) if may_remove else None
-            if oldest is not None:
-                _remove(oldest)
-            elif may_remove and parts:
-                parts.pop(0).unlink()
-            else:
-                return why
+        try:
+            return self._over_budget(running, list(finished)[:-1]) or self._too_full(running)
+        except OSError as reason:
+            return f"{reason.filename}: cannot be removed ({reason.strerror}); remove it"
+
+    def _too_full(self, running: Path) -> str:
+        while (free := free_bytes(self.directory)) < self.minimum_free:
+            oldest = self._oldest(running) if self.frees_oldest else None
+            if oldest is None:
+                return (
+                    f"{self.directory}: {free / 1e9:.2f} GB are free, {self.minimum_free / 1e9:.2f}"
+                    " GB must stay (minimum_free under [recorder]); make room on the disk"
+                )
+            _remove(oldest)
         return ""
 
-    def _lack(self, running: Path) -> tuple[str, bool] | None:
-        """What there is too little of, and whether recordings may be removed for it."""
-        free = free_bytes(self.directory)
-        if free < self.minimum_free:
-            why = (
-                f"{self.directory}: {free / 1e9:.2f} GB are free, {self.minimum_free / 1e9:.2f}"
-                " GB must stay (minimum_free under [recorder]); make room on the disk"
-            )
-            return why, self.frees_oldest
-        if not self.budget or (taken := self._taken(running)) <= self.budget:
-            return None
-        why = (
-            f"{self.directory}: recordings take {taken / 1e9:.2f} GB, {self.budget / 1e9:.2f} are "
-            "allowed (budget under [recorder]); allow more, or begin files more often (split_bytes)"
-        )
-        return why, True
+    def _over_budget(self, running: Path, parts: list[Path]) -> str:
+        while self.budget and (taken := self._taken(running)) > self.budget:
+            oldest = self._oldest(running)
+            if oldest is not None:
+                _remove(oldest)
+            elif parts:
+                parts.pop(0).unlink(missing_ok=True)
+            else:
+                return (
+                    f"{self.directory}: recordings take {taken / 1e9:.2f} GB, "
+                    f"{self.budget / 1e9:.2f} are allowed (budget under [recorder]), and none of "
+                    "them may be removed; allow more, or remove some"
+                )
+        return ""
 
     def _taken(self, running: Path) -> int:
         files = {file.resolve() for folder in self._folders() for file in folder.glob("*.mcap")}
@@ -65,7 +68,9 @@ class Room:
 
     def _folders(self) -> list[Path]:
         """The folders of this site's sessions, the oldest first: their names are times."""
-        return sorted(self.directory.glob(f"{self.prefix}_*T*Z"))
+        digits = "[0-9]"
+        time = f"{digits * 8}T{digits * 6}Z"
+        return sorted(self.directory.glob(f"{escape(self.prefix)}_{time}"))
 
     def _oldest(self, running: Path) -> Path | None:
         here = running.resolve()

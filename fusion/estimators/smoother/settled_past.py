@@ -24,9 +24,8 @@ from trigpoint.fusion.solver.equations import covariance_of
 from trigpoint.fusion.solver.filter import Filter
 from trigpoint.fusion.solver.levenberg_marquardt import linearise
 
-# Of each robot so many sightings stay, unless it drove on for long without one: it is not lost.
+# Of each robot so many sightings stay.
 _LEAST_OF_A_ROBOT = 20
-_MOST_UNSEEN_ODOMETRY = 20_000
 _MOST_EARLIER = 64
 _PATH_STEP_NS = NANOSECONDS // 10
 
@@ -52,23 +51,19 @@ class Limits:
         stamps: dict[str, list[int]] = defaultdict(list)
         for entry in data.entries:
             stamps[entry.observation.robot].append(entry.observation.stamp_ns)
-        cut_ns = max(
-            _newest([s for each in stamps.values() for s in each], self.sightings),
-            _newest(np.concatenate([t.stamps_ns for t in data.tracks.values()]), self.odometry),
-        )
-        moved_ns = max((m.since_ns for m in data.moves if m.since_ns <= cut_ns), default=0)
-        return {
-            robot: min(cut_ns, max(moved_ns, self._own_ns(data, robot, stamps[robot], cut_ns)))
-            for robot in data.tracks
-        }
-
-    def _own_ns(self, data: DataSet, robot: str, stamps: list[int], cut_ns: int) -> int:
-        """The stamp from which on a robot's own last sightings stay; `cut_ns` where it has none."""
-        if not stamps:
-            return cut_ns
-        own_ns = _newest(stamps, _LEAST_OF_A_ROBOT)
-        unseen = int(np.sum(data.tracks[robot].stamps_ns > max(stamps)))
-        return own_ns if unseen <= _MOST_UNSEEN_ODOMETRY else cut_ns
+        every_ns = np.concatenate([track.stamps_ns for track in data.tracks.values()])
+        odometry_ns = _newest(every_ns, self.odometry)
+        sightings = [stamp_ns for each in stamps.values() for stamp_ns in each]
+        cut_ns = max(_newest(sightings, self.sightings), odometry_ns)
+        moved_ns = max((m.since_ns for m in data.moves if m.since_ns < cut_ns), default=0)
+        before = {} if data.past is None else data.past.since_ns
+        since_ns = {}
+        for robot in data.tracks:
+            # A robot that stays away is not lost, as long as that is no matter of days.
+            own_ns = _newest(stamps[robot] or [cut_ns], _LEAST_OF_A_ROBOT)
+            own_ns = max(own_ns or min(stamps[robot], default=cut_ns), moved_ns, odometry_ns)
+            since_ns[robot] = max(min(cut_ns, own_ns), before.get(robot, 0))
+        return since_ns
 
 
 LIVE = Limits(1_500)
@@ -92,7 +87,7 @@ def _newest(stamps: "np.ndarray | list[int]", count: int) -> int:
 
 def settled_past(data: DataSet, state: State, since_ns: Mapping[str, int]) -> Past | None:
     """The past of a solved data set: all that is older than `since_ns`, by robot. None where it
-    locates nothing; raises LinAlgError where it is not determined.
+    locates no camera; raises LinAlgError where it is not determined.
 
     It is linearised where the solution over everything is, and not at its own minimum: there, what
     it says and what the rest does cancel out as before, however little it knows by itself.
@@ -107,8 +102,13 @@ def settled_past(data: DataSet, state: State, since_ns: Mapping[str, int]) -> Pa
     known = Filter.after(start, problem, linearise(problem, start).reduced())
     known = known.spread(crept(past, known))
     places = _last_places(past, known, max(since_ns.values()))
+    if not places:
+        return None
+    absent = data.known_at_start.without(
+        lambda kind, name: kind not in ("faces", "scales") or name in problem.chains
+    )
     return Past(
-        known=_known(past, known, places),
+        known=_known(past, known, places).beside(absent),
         since_ns=dict(since_ns),
         map_since_ns=data.map_since_ns,
         epoch_ns=data.epoch_ns,
@@ -121,7 +121,7 @@ def _last_places(past: DataSet, known: Filter, end_ns: int) -> dict[str, str]:
     """By camera that is located at the end of the past: the name of its place there."""
     places = {}
     for camera in past.site.cameras:
-        moves = [move for move in past.moves if move.camera == camera and end_ns < move.since_ns]
+        moves = [move for move in past.moves if move.camera == camera and end_ns <= move.since_ns]
         place = moves[0].name if moves else camera
         seen = [past.entries[i].observation.stamp_ns for i in past.usable([place])]
         is_gone = any(
@@ -172,7 +172,7 @@ def _counted(past: DataSet, camera: str, since_ns: Mapping[str, int]) -> PastCam
     """A camera's counts with those of the past before."""
     before, cut_ns = past.past_of(camera), max(since_ns.values())
     entries = [e.observation for place in past.places_of(camera) for e in past.of_camera(place)]
-    gone = [move for move in past.moves if move.since_ns <= cut_ns]
+    gone = [move for move in past.moves if move.since_ns < cut_ns]
     earlier = (*before.earlier, *earlier_poses(gone, camera))
     return PastCamera(
         before.sightings + sum(len(observation.views) for observation in entries),

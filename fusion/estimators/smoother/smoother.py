@@ -44,6 +44,8 @@ class Smoother:
         self.data, self._limits = data, limits
         self._past_paths: dict[str, list[Trajectory]] = defaultdict(list)
         self._collected = 0
+        targets = list(data.targets.values())
+        self._are_alike = any(target in targets[:order] for order, target in enumerate(targets))
         self._explainer = Explainer(data)
         self._batch = BatchSolution(data)
         self._current = CurrentFilter(data)
@@ -87,10 +89,10 @@ class Smoother:
     def collect(self, observation: Observation) -> None:
         self._explainer.take(observation, is_used=False)
         self.data.entries.append(Entry(self.data.concluded(observation)))
-        # Where that leaves too much open, it is tried again when a tenth more is there.
-        if len(self.data.entries) > 1.1 * self._collected and self._limits.is_reached(
-            self.data, is_open=False
-        ):
+        # Where that leaves too much open, it is tried again when a tenth more is there. Of robots
+        # that look alike the sightings of before are still to come.
+        is_more = len(self.data.entries) > 1.1 * self._collected and not self._are_alike
+        if is_more and self._limits.is_reached(self.data, is_open=False):
             self.finish()
             self._collected = len(self.data.entries)
 
@@ -148,7 +150,7 @@ class Smoother:
         """Summarise the older part of what came; whether there is anything to go on from."""
         try:
             past = settled_past(self.data, self._batch.state, self._limits.since_ns(self.data))
-        except LinAlgError:
+        except (LinAlgError, ValueError):
             return False
         if past is not None:
             if self._limits.paths:

@@ -59,6 +59,8 @@ public:
         const Index pictures = array(PICTURES).shape[0], corners = array(POINTS).shape[0];
         if (array(CAMERAS).shape[0] != 1 || array(ROBOTS).shape[0] != 1)
             throw std::invalid_argument("a visit is of one camera and one robot");
+        if (whole(CAMERAS)[0] < 0 || whole(CAMERAS)[0] > array(LENSES).shape[1])
+            throw std::invalid_argument("a lens with more parameters than there are");
         for (Index v = 0; v < views_.count(); ++v) {
             const Index row = whole(ROWS)[v];
             if (whole(SIGHTING_PICTURES)[v] < 0 || whole(SIGHTING_PICTURES)[v] >= pictures ||

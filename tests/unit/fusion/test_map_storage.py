@@ -9,10 +9,13 @@ from trigpoint.base.clock import SystemClock, to_ns
 from trigpoint.base.errors import OperationError
 from trigpoint.contract import cdr
 from trigpoint.contract.messages import Odometry, Sightings
+from trigpoint.fusion.checkpoint import full_files
 from trigpoint.fusion.inbox import INPUT_TOPICS, Input
 from trigpoint.fusion.intake.admission import AHEAD_NS
 from trigpoint.fusion.map_storage import MapStorage
+from trigpoint.fusion.model.known_cameras import KnownCameras
 from trigpoint.fusion.model.odometry import MOST_STANDING
+from trigpoint.fusion.model.past import Past
 from trigpoint.geometry import Pose
 
 SITE = make_site()
@@ -100,3 +103,21 @@ def test_a_new_map_begins_empty_and_the_old_one_is_kept(tmp_path: Path) -> None:
     storage.close()
     assert [message.stamp_ns for message in read(tmp_path)] == [7]  # pyright: ignore[reportAttributeAccessIssue]
     assert (tmp_path / "checkpoint.1.bin").exists()
+
+
+def test_a_file_stays_as_long_as_any_robot_needs_it(tmp_path: Path) -> None:
+    """Of r2, which was not seen for long, sightings are kept that are older than r1's past."""
+    storage = MapStorage(tmp_path, SITE, SystemClock(), knows=lambda _: True, most=10)
+    store(storage, "r1", *(odometry(to_ns(second), second) for second in range(1, 35)))
+    names = [path.name for path in full_files(tmp_path)]
+    assert names == [f"checkpoint-00000{number}.bin" for number in (1, 2, 3)]
+
+    def settled(r1_s: float, r2_s: float) -> list[str]:
+        since_ns = {"r1": to_ns(r1_s), "r2": to_ns(r2_s)}
+        storage.settle(Past(KnownCameras.none(), since_ns, None, 0, {}))
+        return [path.name for path in full_files(tmp_path)]
+
+    assert settled(30.0, 5.0) == names
+    assert settled(32.0, 25.0) == names[2:]
+    storage.close()
+    assert storage.trouble == ""

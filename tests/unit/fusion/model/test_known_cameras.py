@@ -82,3 +82,22 @@ def test_widening_in_two_steps_is_that_in_one() -> None:
     once = before.at(UNTIL_NS + 9 * DAY_NS)
     twice = before.at(UNTIL_NS + 4 * DAY_NS).at(UNTIL_NS + 9 * DAY_NS)
     np.testing.assert_allclose(twice.covariance, once.covariance, rtol=1e-9, atol=1e-15)
+
+
+def test_what_is_put_beside_is_independent_and_may_be_taken_out_again() -> None:
+    random = np.random.default_rng(4)
+    cameras, one = poses(random), Pose.stack([Pose.identity()])
+
+    def drawn(faces: dict[str, Pose], values: dict[tuple[str, str], Array]) -> KnownCameras:
+        eyes = cameras if values and ("lens", "c1") in values else {}
+        size = 6 * (len(eyes) + len(faces)) + sum(len(value) for value in values.values())
+        root = np.eye(size) + 0.2 * random.normal(size=(size, size))
+        return KnownCameras(eyes, root @ root.T, UNTIL_NS, CREEP, faces, values)
+
+    mine = drawn({"r1": one}, {("lens", "c1"): np.ones(9), ("scales", "r1"): np.zeros(2)})
+    other = drawn({"r2": one}, {("scales", "r2"): np.ones(2)})
+    both = mine.beside(other)
+    assert (list(both.faces), list(both.values)) == (["r1", "r2"], [*mine.values, *other.values])
+    for part, gone in ((mine, "r2"), (other, "")):
+        left = both.without(lambda _, name, gone=gone: name == gone if gone else name != "r2")
+        np.testing.assert_allclose(left.covariance, part.covariance, rtol=1e-9, atol=1e-12)

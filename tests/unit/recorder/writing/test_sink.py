@@ -242,18 +242,21 @@ def test_the_oldest_finished_session_makes_room_never_the_running_one(tmp_path: 
 def test_over_the_budget_the_oldest_recordings_go_and_then_finished_parts(tmp_path: Path) -> None:
     files = [tmp_path / f"lab_2026010{day}T000000Z" / "session.mcap" for day in (1, 2)]
     running = tmp_path / "lab_20260103T000000Z"
-    parts = [running / "session.mcap", running / "session_part2.mcap"]
-    for file in [*files, *parts]:
+    parts = [running / f"session{part}.mcap" for part in ("", "_part2", "_part3")]
+    (tmp_path / "lab_2_20260101T000000Z").mkdir()
+    others = tmp_path / "lab_2_20260101T000000Z" / "session.mcap"
+    for file in [others, *files, *parts]:
         with McapSink(file, clock=SystemClock()) as sink:
             put(sink, 1)
     size = parts[0].stat().st_size
-    room = Room(tmp_path, 0.0, frees_oldest=False, prefix="lab", budget=2.5 * size)
-    assert room.problem(running, parts[:1]) == ""
-    assert [file.exists() for file in [*files, *parts]] == [False, False, True, True]
-    room = replace(room, budget=1.5 * size)
-    assert room.problem(running, parts[:1]) == ""
-    assert [file.exists() for file in parts] == [False, True]
-    assert "are allowed (budget under [recorder])" in replace(room, budget=1.0).problem(running)
+    room = Room(tmp_path, 0.0, frees_oldest=False, prefix="lab", budget=3.5 * size)
+    assert room.problem(running, parts[:2]) == ""
+    assert [file.exists() for file in [*files, *parts]] == [False, False, True, True, True]
+    room = replace(room, budget=2.5 * size)
+    assert room.problem(running, parts[:2]) == ""
+    assert [file.exists() for file in parts] == [False, True, True]
+    assert "are allowed (budget" in replace(room, budget=1.5 * size).problem(running, parts[:2])
+    assert [file.exists() for file in [others, *parts]] == [True, False, True, True]
 
 
 class Midnight(SystemClock):

@@ -7,9 +7,10 @@ from support.fusion.drives import EPOCH_NS
 from support.fusion.small_problems import small_data
 
 from trigpoint.base.clock import to_ns
-from trigpoint.fusion.estimators.smoother import settled_past
 from trigpoint.fusion.estimators.smoother.settled_past import Limits
 from trigpoint.fusion.model.dataset import DataSet, Entry, Move
+from trigpoint.fusion.model.known_cameras import KnownCameras
+from trigpoint.fusion.model.past import Past
 from trigpoint.geometry import Pose
 
 _SECONDS = 400
@@ -39,10 +40,10 @@ def test_the_newest_sightings_are_kept() -> None:
     assert kept_since_s(Limits(sightings=100), data) == {"r1": 200.0, "r2": 200.0}
 
 
-def test_of_much_odometry_the_newest_is_kept_and_what_it_takes_to_know_where_robots_are() -> None:
+def test_of_much_odometry_the_newest_is_kept_whatever_was_seen() -> None:
     data = data_of({"r1": range(100, 300, 2), "r2": range(101, 399, 2)})
     since = kept_since_s(Limits(sightings=100, odometry=100), data)
-    assert since == {"r1": 260.0, "r2": pytest.approx(350.0, abs=1.0)}
+    assert since == {"r1": pytest.approx(350.0, abs=1.0), "r2": pytest.approx(350.0, abs=1.0)}
 
 
 def test_a_robot_that_was_not_seen_for_long_keeps_its_last_sightings() -> None:
@@ -50,10 +51,24 @@ def test_a_robot_that_was_not_seen_for_long_keeps_its_last_sightings() -> None:
     assert kept_since_s(Limits(sightings=100), data) == {"r1": 300.0, "r2": 25.0}
 
 
-def test_a_robot_that_drove_on_unseen_keeps_none(monkeypatch: pytest.MonkeyPatch) -> None:
-    data = data_of({"r1": range(100, 400), "r2": range(5, 45)})
-    monkeypatch.setattr(settled_past, "_MOST_UNSEEN_ODOMETRY", 200)
+def test_a_robot_that_was_seen_seldom_keeps_all_of_it() -> None:
+    data = data_of({"r1": range(100, 400), "r2": range(5, 15)})
+    assert kept_since_s(Limits(sightings=100), data) == {"r1": 300.0, "r2": 5.0}
+
+
+def test_nothing_that_is_past_is_kept_again() -> None:
+    data = data_of({"r1": range(100, 400), "r2": range(25, 45)})
+    before = {"r1": EPOCH_NS + to_ns(90.0), "r2": EPOCH_NS + to_ns(25.0)}
+    data.past = Past(KnownCameras.none(), before, None, EPOCH_NS, {})
+    assert kept_since_s(Limits(sightings=100), data) == {"r1": 300.0, "r2": 25.0}
+    data.entries = [e for e in data.entries if e.observation.robot == "r1"]
     assert kept_since_s(Limits(sightings=100), data) == {"r1": 300.0, "r2": 300.0}
+
+
+def test_a_robot_that_was_not_seen_for_days_keeps_none() -> None:
+    data = data_of({"r1": range(100, 400), "r2": range(5, 45)})
+    since = kept_since_s(Limits(sightings=100, odometry=300), data)
+    assert since == {"r1": 300.0, "r2": pytest.approx(250.0, abs=1.0)}
 
 
 def test_none_is_kept_from_before_a_camera_was_moved_in_the_past() -> None:
