@@ -358,12 +358,13 @@ def _listen_for_stops(chosen: str) -> None:
 
 
 def missing_extra(error: ModuleNotFoundError, user: str, extra: str) -> MissingExtraError | None:
-    """The message for a third-party package that `user` lacks, and the `extra` that has it, where
-    it is known; None for any other import error."""
+    """The message for a third-party package that `user` lacks, and the extra that has it, which is
+    `extra` (or several, with commas) where that does; None for any other import error."""
     package = (error.name or "").partition(".")[0]
     if package not in EXTRAS:
         return None
-    extra = extra if extra in EXTRAS[package] else EXTRAS[package][0]
+    if not set(extra.split(",")) & set(EXTRAS[package]):
+        extra = EXTRAS[package][0]
     return MissingExtraError(
         f"`{user}` needs the package «{package}», which is not installed here; "
         f"run: {install_command(extra)}"
