@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 
-from trigpoint.base.clock import Clock
+from trigpoint.base.clock import Clock, to_ns
 from trigpoint.base.errors import MessageError, OperationError
 from trigpoint.contract import cdr, topics
 from trigpoint.contract.messages import CameraInfo, Diagnostics, Message, Odometry, Sightings
@@ -29,6 +29,8 @@ from .intake.admission import AHEAD_NS
 from .model.past import ODOMETRY_BEFORE_NS, Past
 from .past_file import save_past
 from .standing_odometry import StandingOdometry
+
+_RETRY_NS = to_ns(30.0)
 
 _log = logging.getLogger(__name__)
 
@@ -52,6 +54,7 @@ class MapStorage:
     ) -> None:
         self._folder, self._site, self._knows, self._past = folder, site, knows, past
         self._path, self._most, self._count = folder / CHECKPOINT, most, 0
+        self._clock, self._retry_ns = clock, 0
         self._checkpoint = Checkpoint(self._path, clock)
         self._full = full_files(folder)
         # By file, the newest stamp of odometry or sightings in it, once it is known.
@@ -146,18 +149,20 @@ class MapStorage:
     def settle(self, past: Past | None) -> None:
         """Store a past in place of its messages, where that is not done: files that have no others
         are removed."""
-        if past is None or past is self._past:
+        if past is None or past is self._past or self._clock.elapsed_ns() < self._retry_ns:
             return
-        self._past = past
         try:
             save_past(self._folder / PAST, past, self._site)
+            self._past = past
             for path in [path for path in self._full if self._is_over(path, past)]:
                 path.unlink(missing_ok=True)
                 self._full.remove(path)
         except OSError as reason:
+            self._retry_ns = self._clock.elapsed_ns() + _RETRY_NS
             _log.warning(
-                "%s: not written (%s); the checkpoint stays longer than it must",
-                PAST,
+                "%s: not written (%s); the checkpoint stays longer than it must, and it is tried "
+                "again",
+                self._folder / PAST,
                 reason.strerror,
             )
 

@@ -5,11 +5,12 @@ from pathlib import Path
 import pytest
 from support.builders import make_site
 
-from trigpoint.base.clock import SystemClock, to_ns
+from trigpoint.base.clock import ManualClock, SystemClock, to_ns
 from trigpoint.base.errors import OperationError
 from trigpoint.contract import cdr
 from trigpoint.contract.messages import Odometry, Sightings
-from trigpoint.fusion.checkpoint import full_files
+from trigpoint.fusion import map_storage
+from trigpoint.fusion.checkpoint import PAST, full_files
 from trigpoint.fusion.inbox import INPUT_TOPICS, Input
 from trigpoint.fusion.intake.admission import AHEAD_NS
 from trigpoint.fusion.map_storage import MapStorage
@@ -121,3 +122,29 @@ def test_a_file_stays_as_long_as_any_robot_needs_it(tmp_path: Path) -> None:
     assert settled(32.0, 25.0) == names[2:]
     storage.close()
     assert storage.trouble == ""
+
+
+def test_a_past_that_the_disk_did_not_take_is_tried_again(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = ManualClock(to_ns(100.0))
+    storage = MapStorage(tmp_path, SITE, clock, knows=lambda _: True, most=10)
+    store(storage, "r1", *(odometry(to_ns(second), second) for second in range(1, 25)))
+    past = Past(KnownCameras.none(), {"r1": to_ns(24.0)}, None, 0, {})
+
+    def full(*_: object) -> None:
+        raise OSError(28, "no space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(map_storage, "save_past", full)
+        for _ in range(100):
+            storage.settle(past)
+    assert caplog.text.count("no space left on device") == 1
+    assert len(full_files(tmp_path)) == 2
+    storage.settle(past)
+    assert len(full_files(tmp_path)) == 2
+    clock.advance(31.0)
+    storage.settle(past)
+    assert (tmp_path / PAST).exists()
+    assert full_files(tmp_path) == []
+    storage.close()
