@@ -47,6 +47,10 @@ class BatchSolution:
         self.scales: dict[str, tuple[Array, Array]] = {}
         self.iterations = 0
 
+    def go_on_from_the_past(self) -> None:
+        """Know what the data set's past says, until what is left is solved."""
+        self.state, self.problem = self.data.first_state(), None
+
     def solve(self, explanation: Explanation) -> Filter:
         """Solve to convergence by an explanation; return the filter at its end. Where that fails,
         nothing is changed."""

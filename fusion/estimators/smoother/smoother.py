@@ -157,6 +157,7 @@ class Smoother:
                 self._keep_paths(past)
             self.data.forget(past)
             self._explainer.forget(past)
+            self._batch.go_on_from_the_past()
         return past is not None
 
     def _keep_paths(self, past: Past) -> None:

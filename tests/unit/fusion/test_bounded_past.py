@@ -27,15 +27,18 @@ from support.fusion.solvers import SlowSolver
 from trigpoint.base.clock import SystemClock, to_ns
 from trigpoint.contract import cdr, topics
 from trigpoint.contract.messages import PoseEstimate
+from trigpoint.fusion.association.explanation import Explanation
 from trigpoint.fusion.checkpoint import PAST, full_files, has_map
 from trigpoint.fusion.estimators.registry import ESTIMATORS
 from trigpoint.fusion.estimators.results import Results
+from trigpoint.fusion.estimators.smoother.batch import BatchSolution
 from trigpoint.fusion.estimators.smoother.settled_past import Limits
 from trigpoint.fusion.inbox import INPUT_TOPICS, Input
 from trigpoint.fusion.map_storage import MapStorage
 from trigpoint.fusion.model.past import Past
 from trigpoint.fusion.past_file import load_past, save_past
 from trigpoint.fusion.pipeline import Pipeline
+from trigpoint.fusion.solver.filter import Filter
 from trigpoint.geometry import Pose
 from trigpoint.map.network import Network
 from trigpoint.tools.simulation.sight.targets import target_of
@@ -179,6 +182,26 @@ def test_a_long_recording_is_worked_out_part_by_part(
     apart = poses.difference(whole[np.searchsorted(whole_ns, stamps_ns)])
     assert np.abs(apart[:, :2]).max() < 0.03
     assert np.abs(apart[:, 5]).max() < 0.03
+
+
+def test_where_what_is_left_cannot_be_solved_the_past_holds(
+    drive: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    solve = BatchSolution.solve
+
+    def solve_before(batch: BatchSolution, explanation: Explanation) -> Filter:
+        if batch.data.past is not None:
+            raise np.linalg.LinAlgError("singular")
+        return solve(batch, explanation)
+
+    monkeypatch.setattr(BatchSolution, "solve", solve_before)
+    monkeypatch.setitem(ESTIMATORS, "smoother", "support.fusion.solvers:FrugalSmoother")
+    pipeline = pushed(drive.inputs, drive.messages)
+    assert any("could not be solved" in note for note in pipeline.notes)
+    results = pipeline.results()
+    assert results.network.located == ["c1", "c2", "c3"]
+    assert drive.error(results).nees < 3
+    assert np.all(np.diff(results.trajectories["r1"][0]) > 0)
 
 
 def test_moved_cameras_are_noticed_before_and_after_a_past() -> None:
