@@ -32,7 +32,7 @@ def estimating(
         held = FixedMap(data, fixed, forget)
         return Estimating(held, held)
     if solver is not None:
-        follower = Follower(data, solver)
+        follower = Follower(data, solver, forget)
         return Estimating(follower, follower, follower)
     estimator = make_estimator(data)
     return Estimating(estimator, Immediate(data, estimator))

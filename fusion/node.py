@@ -4,7 +4,6 @@ import json
 import logging
 import threading
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from pathlib import Path
 
 from trigpoint.base.clock import Clock, to_ns, to_seconds
@@ -21,7 +20,7 @@ from trigpoint.node.watchdog import Pulse
 from trigpoint.security.authenticator import correction_signer
 
 from .answers import ANSWER_S, map_answer, solved
-from .checkpoint import CHECKPOINT, PAST
+from .checkpoint import CHECKPOINT
 from .coverage.announced import AnnouncedMap
 from .diagnostics import Diagnostics
 from .estimators.results import Results
@@ -37,8 +36,7 @@ from .live.solver_messages import Solver
 from .map_storage import MapStorage
 from .model.inputs import Inputs
 from .output import Output
-from .past_file import load_past
-from .pipeline import Pipeline
+from .pipeline_maker import PipelineMaker
 from .publishing import Publishing
 from .solver.snapshot import GuidanceWorld
 
@@ -80,10 +78,10 @@ class FusionNode:
         self._bus, self._node, self._inputs, self._clock = bus, node, inputs, clock
         self._site, self._out = inputs.site, out
         self._holding = Holding(fixed, learns=fixed is None and inputs.site.fusion.learn)
-        self._make_solver, self._solver = solver, None
+        self._maker = PipelineMaker(inputs, out, solver)
         self._lock = FairLock()
         self._admission = Admission(inputs.site)
-        self._pipeline = self._new_pipeline(is_live=False)
+        self._pipeline = self._maker.make(self._holding.fixed, is_live=False)
         self._announced: dict[str, bytes] = {}
         self._located_count = 0
         signer = correction_signer(inputs.site, clock)
@@ -114,7 +112,7 @@ class FusionNode:
         ):
             self._bus.serve(command_key(name, path), answer)
         self._node.work("estimates", self._run, within_s=_TURN_MOST_S)
-        if self._make_solver is None:  # a solver also makes the suggestions
+        if not self._maker.makes_solvers:  # a solver also makes the suggestions
             guide = GuidanceThread(self._bus, self._node, name, self._guidance_world)
             self._node.work("guides", guide.run, within_s=_GUIDE_S)
         announced = AnnouncedMap(self._site, self._inputs.targets)
@@ -136,7 +134,7 @@ class FusionNode:
             if self._holding.fixed is not None:
                 _log.info("the map is fixed: its network stays as it is, and nothing is written")
             elif self.is_resumed:
-                turn_s = self._longest_s if self._solver is None else None
+                turn_s = self._longest_s if self._maker.solver is None else None
                 save_last(self._pipeline, self._out, self._clock, turn_s=turn_s)
             else:
                 _log.info("stopped before %s was read; all of it is still there", self._path)
@@ -144,8 +142,7 @@ class FusionNode:
                 raise OperationError(self._storage.trouble)
         finally:
             self._lock.release()
-            if self._solver is not None:
-                self._solver.close()
+            self._maker.close()
 
     # -- the working thread -----------------------------------------------------------------------
 
@@ -215,7 +212,7 @@ class FusionNode:
     def _covered(self) -> Results | None:
         """What the map of corrections is made of; None where a solver makes it, or of nothing."""
         with self._lock:
-            if self._solver is not None or not self._pipeline.located_count:
+            if self._maker.solver is not None or not self._pipeline.located_count:
                 return None
             return self._pipeline.results()
 
@@ -236,22 +233,6 @@ class FusionNode:
 
     # -- learning, or not -------------------------------------------------------------------------
 
-    def _new_pipeline(self, *, is_live: bool = True) -> Pipeline:
-        """The pipeline of a map that begins now, or goes on from its past; a solver of it runs
-        beside it."""
-        if self._solver is not None:
-            self._solver.close()
-        fixed, self._solver = self._holding.fixed, None
-        inputs = self._inputs
-        if fixed is None:
-            past = load_past(self._out / PAST, self._site, inputs.targets)
-            inputs = replace(inputs, past=past)
-            if self._make_solver is not None:
-                self._solver = self._make_solver(inputs)
-        return Pipeline(
-            inputs, is_live=is_live or fixed is not None, solver=self._solver, fixed=fixed
-        )
-
     def _switch(self, pulse: Pulse) -> bool:
         """Hold the map, or learn it again, where that is wanted; False where a stop came first."""
         holding = self._holding
@@ -259,7 +240,7 @@ class FusionNode:
             with self._lock:
                 self._is_read.clear()
                 holding.hold(None)
-                self._pipeline = self._new_pipeline(is_live=False)
+                self._pipeline = self._maker.make(self._holding.fixed, is_live=False)
             if not self._resume(pulse):
                 return False
             with self._lock:
@@ -291,7 +272,7 @@ class FusionNode:
         self._open_storage.close()
         self._storage = None
         holding.hold(fixed)
-        self._pipeline = self._new_pipeline()
+        self._pipeline = self._maker.make(self._holding.fixed)
         self._diagnostics.restart()
         self._announce_again()
         _log.info("the map is fixed, as it is in %s", self._out / "network.json")
@@ -399,7 +380,7 @@ class FusionNode:
         with self._lock:
             self._holding.check_is_learnt(command_key(self._site.name, "fusion/learn"))
             self._open_storage.restart()
-            self._pipeline = self._new_pipeline()
+            self._pipeline = self._maker.make(self._holding.fixed)
             self._diagnostics.restart()
             self._node.health.describe("cameras", "")
             self._announce_again()

@@ -15,11 +15,12 @@ import numpy as np
 from trigpoint.base.errors import OperationError
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
-from trigpoint.map.network import EarlierPose, IntrinsicsRecord
+from trigpoint.map.network import IntrinsicsRecord
 from trigpoint.site.config import Site
 from trigpoint.site.target import Target
 
 from .checkpoint import set_aside
+from .model.assembly import estimates_faces, estimates_scales
 from .model.known_cameras import Creep, KnownCameras
 from .model.past import Past, PastCamera
 
@@ -27,12 +28,6 @@ _MAGIC = b"trigpoint-past/1\n"
 _CHECK = 4  # bytes of the checksum
 
 _log = logging.getLogger(__name__)
-
-
-class _Camera(msgspec.Struct, array_like=True):
-    sightings: int
-    used: int
-    earlier: tuple[EarlierPose, ...]
 
 
 class _Document(msgspec.Struct):
@@ -48,7 +43,7 @@ class _Document(msgspec.Struct):
     values: list[tuple[str, str, bytes]]
     information: bytes
     lenses: dict[str, IntrinsicsRecord]
-    cameras: dict[str, _Camera]
+    cameras: dict[str, PastCamera]
 
 
 def save_past(path: Path, past: Past, site: Site) -> None:
@@ -63,17 +58,16 @@ def save_past(path: Path, past: Past, site: Site) -> None:
 
 
 def load_past(path: Path, site: Site, targets: dict[str, Target]) -> Past | None:
-    """The past of a map; None where there is none, or where the file is damaged, which is logged
-    or knows no camera of the site, and the file is kept under another name. Raises OperationError
-    for another site's. Of cameras and robots that the site file lost, and of what
-    it does not estimate any more, nothing is taken."""
+    """The past of a map; None where there is none. Of cameras and robots that the site file lost,
+    and of what it does not estimate any more, nothing is taken. Where the file is damaged, or no
+    camera is left, that is logged, the file kept under another name, and None returned. Raises
+    OperationError for another site's."""
     try:
         data = path.read_bytes()
     except FileNotFoundError:
         return None
-    body = data[len(_MAGIC) + _CHECK :]
-    check = int.from_bytes(data[len(_MAGIC) :][:_CHECK], "little")
-    if data[: len(_MAGIC)] != _MAGIC or zlib.crc32(body) != check:
+    document = _read(data)
+    if document is None:
         _log.error(
             "%s is damaged, and the map's past lost with it; a new map begins with what came since "
             "(the file is kept as %s)",
@@ -81,7 +75,6 @@ def load_past(path: Path, site: Site, targets: dict[str, Target]) -> Past | None
             set_aside(path),
         )
         return None
-    document = msgspec.msgpack.decode(body, type=_Document)
     if document.site != site.name:
         raise OperationError(
             f"{path}: the past of another site ({document.site}); give another --out"
@@ -95,6 +88,18 @@ def load_past(path: Path, site: Site, targets: dict[str, Target]) -> Past | None
         set_aside(path),
     )
     return None
+
+
+def _read(data: bytes) -> _Document | None:
+    """What a file says; None where it is not whole."""
+    body = data[len(_MAGIC) + _CHECK :]
+    check = int.from_bytes(data[len(_MAGIC) :][:_CHECK], "little")
+    if not data.startswith(_MAGIC) or zlib.crc32(body) != check:
+        return None
+    try:
+        return msgspec.msgpack.decode(body, type=_Document)
+    except msgspec.DecodeError:
+        return None
 
 
 def _document(past: Past, site: Site) -> _Document:
@@ -113,10 +118,7 @@ def _document(past: Past, site: Site) -> _Document:
             name: IntrinsicsRecord.of(lens, np.zeros(len(lens.parameters)))
             for name, lens in past.lenses.items()
         },
-        cameras={
-            name: _Camera(camera.sightings, camera.used, camera.earlier)
-            for name, camera in past.cameras.items()
-        },
+        cameras=dict(past.cameras),
     )
 
 
@@ -138,10 +140,7 @@ def _past(document: _Document, site: Site, targets: dict[str, Target]) -> Past:
         map_since_ns=document.map_since_ns,
         epoch_ns=document.epoch_ns,
         lenses={name: lens for name, lens in lenses.items() if name in site.cameras},
-        cameras={
-            name: PastCamera(camera.sightings, camera.used, camera.earlier)
-            for name, camera in document.cameras.items()
-        },
+        cameras=document.cameras,
     )
 
 
@@ -149,23 +148,18 @@ def _is_of_site(
     known: KnownCameras, site: Site, targets: dict[str, Target], kind: str, name: str
 ) -> bool:
     """Whether a part of what is known is something that the site still has, or estimates."""
-    if kind in ("pose", "lens", "clock"):
-        camera = site.cameras.get(name)
-        if camera is None:
-            return False
-        is_estimated = {
-            "pose": True,
-            "lens": camera.estimates_intrinsics,
-            "clock": camera.time_offset_sigma > 0,
-        }
-        return is_estimated[kind]
-    robot, fusion = site.robots.get(name), site.fusion
-    if robot is None:
+    if name not in (site.robots if kind in ("scales", "faces") else site.cameras):
         return False
+    if kind == "lens":
+        return site.cameras[name].estimates_intrinsics
+    if kind == "clock":
+        return site.cameras[name].time_offset_sigma > 0
     if kind == "scales":
-        return robot.odometry.distance_scale > 0 or robot.odometry.heading_scale > 0
-    is_estimated = fusion.target_translation > 0 or fusion.target_rotation > 0
-    return is_estimated and len(known.faces[name]) == len(targets[name].faces)
+        return estimates_scales(site.robots[name].odometry)
+    if kind == "faces":
+        has_as_many = len(known.faces[name]) == len(targets[name].faces)
+        return has_as_many and estimates_faces(site.fusion)
+    return True
 
 
 def _bytes(array: Array) -> bytes:

@@ -5,9 +5,7 @@ node feeds it from the bus, `calibrate` from a recording.
 """
 
 from collections import Counter
-from collections.abc import Iterable
 from dataclasses import replace
-from typing import Self
 from uuid import UUID
 
 from trigpoint.base.clock import to_ns
@@ -83,7 +81,6 @@ class Pipeline:
         self._early: list[tuple[str, Sightings]] = []
         self._stale_ns: dict[str, int] = {}
         self._doubted: frozenset[str] = frozenset()
-        self._shared, self._past = shared, data.past
         self.nudges = Nudges(data, is_fixed=fixed is not None)
 
     @property
@@ -162,15 +159,6 @@ class Pipeline:
         return {reason: count for reason, count in self.left_out.items() if reason not in kinds}
 
     # -- input ------------------------------------------------------------------------------------
-
-    def replay(self, messages: Iterable[tuple[str, Message]]) -> Self:
-        """Take the messages of a recording in this order, and work at each reading of odometry;
-        nothing is sent."""
-        for node, message in messages:
-            self.push(node, message)
-            if isinstance(message, Odometry):
-                self.advance()
-        return self
 
     def push(self, node: str, message: Message) -> bool:
         """Take a message of a camera or robot; one that is not in the site file is counted.
@@ -286,10 +274,11 @@ class Pipeline:
             self._intake.tell_by_place(self._estimator)
         if self._follower is not None:
             self._attend(self._follower)
-            self._settle(self._follower, now_ns, is_quiet=all(o.is_repeat for o in used))
-        if self._data.past is not self._past:
-            self._past = self._data.past
-            self._shared.forget()
+            is_old, is_idle = all(o.is_repeat for o in used), self._follower.is_idle
+            if now_ns is not None and self._schedule.is_due(
+                now_ns, is_quiet=is_old, is_idle=is_idle
+            ):
+                self._explain_all()
         # Live, cameras are announced also while none of them sees a robot: no transform grows old.
         used_ns = 0 if self._is_live else self._used_ns
         stamp_ns = used_ns or self._data.last_ns
@@ -308,14 +297,6 @@ class Pipeline:
                     used.append(observation)
         return used
 
-    def _settle(self, follower: Follower, now_ns: int | None, *, is_quiet: bool) -> None:
-        """Have the session settled where that is due."""
-        if now_ns is not None and self._schedule.is_due(
-            now_ns, is_quiet=is_quiet, is_idle=follower.is_idle
-        ):
-            follower.leave_open(self._intake.undecided)
-            follower.finish()
-
     def _attend(self, follower: Follower) -> None:
         for news in follower.attend():
             if isinstance(news, Event):
@@ -326,7 +307,7 @@ class Pipeline:
             self._take_cameras(self._data.last_ns, is_urgent=True)
 
     def _use(self, observation: Observation, now_ns: int | None) -> None:
-        if self._past is not None and self._past.is_over(observation.robot, observation.stamp_ns):
+        if self._data.is_past(observation):
             return  # its part in the map is known
         if self._data.tracks[observation.robot].is_in_gap(observation.stamp_ns):
             self._left_out.add("in_odometry_gap")

@@ -12,6 +12,7 @@ from msgspec import structs
 from trigpoint.contract.messages import Message, Odometry, Sightings
 from trigpoint.fusion.model.known_cameras import KnownCameras
 from trigpoint.fusion.pipeline import Inputs, Pipeline
+from trigpoint.fusion.replaying import replayed
 from trigpoint.geometry import CameraModel
 from trigpoint.site.config import (
     BusConfig,
@@ -94,7 +95,7 @@ def worked_out(session: StudySession) -> Pipeline:
 
 def fed(inputs: Inputs, messages: Iterable[tuple[str, Message]]) -> Pipeline:
     """A pipeline after all these messages, finished."""
-    pipeline = Pipeline(inputs, is_live=False).replay(messages)
+    pipeline = replayed(Pipeline(inputs, is_live=False), messages)
     pipeline.finish()
     return pipeline
 

@@ -72,6 +72,4 @@ def _verify(worlds: list[World]) -> None:
 def _share(data: DataSet) -> float:
     """Return the share of the budget for this search: less than all of it where robots look alike,
     since telling them apart may take as much work as all else."""
-    targets = list(data.targets.values())
-    is_alike = any(target in targets[:order] for order, target in enumerate(targets))
-    return ALIKE_SHARE if is_alike else 1.0
+    return ALIKE_SHARE if data.has_alike_robots else 1.0

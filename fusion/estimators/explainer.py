@@ -15,7 +15,6 @@ from trigpoint.fusion.association.modes import Memory
 from trigpoint.fusion.association.scales import with_solved_scales
 from trigpoint.fusion.model.dataset import DataSet, Entry
 from trigpoint.fusion.model.observations import Observation, Verdict
-from trigpoint.fusion.model.past import Past
 from trigpoint.geometry.rotation import Array
 
 _GROWTH, _LEAST_NEW = 1.2, 20
@@ -66,11 +65,9 @@ class Explainer:
         if cameras != self._undecided and self._observations:
             self._undecided, self._explained = cameras, -1
 
-    def forget(self, past: Past) -> None:
-        """Drop the observations that are part of the past; what is left is to be explained."""
-        self._observations = [
-            each for each in self._observations if not past.is_over(each.robot, each.stamp_ns)
-        ]
+    def forget_past(self) -> None:
+        """Drop the observations that are part of the past now; what is left is to be explained."""
+        self._observations = [each for each in self._observations if not self._data.is_past(each)]
         self._memory.keep(self._observations)
         self._explained = -1
 

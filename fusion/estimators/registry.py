@@ -3,6 +3,7 @@
 import importlib
 
 from trigpoint.base.errors import ConfigError
+from trigpoint.fusion.model.assembly import estimates_faces
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.site.config import Site
 
@@ -28,7 +29,7 @@ def check_estimator(site: Site) -> None:
     if chosen == "smoother":
         return
     asked = []
-    if site.fusion.target_translation > 0 or site.fusion.target_rotation > 0:
+    if estimates_faces(site.fusion):
         asked.append("the faces' places on the robot (fusion.target_translation, target_rotation)")
     for name, camera in site.cameras.items():
         if camera.estimates_intrinsics:

@@ -8,7 +8,7 @@ corrections. So no turn takes long, and late sightings enter the new filter as w
 """
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from scipy.linalg import LinAlgError
@@ -66,10 +66,11 @@ class _Coming:
 
 
 class Follower:
-    """A `Live` estimator whose `Reports` come with a solver's news. Not thread-safe."""
+    """A `Live` estimator whose `Reports` come with a solver's news. Not thread-safe. `forget`:
+    called where the odometry's past was dropped, for others to drop what refers to it."""
 
-    def __init__(self, data: DataSet, solver: Solver) -> None:
-        self.data, self._solver = data, solver
+    def __init__(self, data: DataSet, solver: Solver, forget: Callable[[], None]) -> None:
+        self.data, self._solver, self._forget = data, solver, forget
         self._current = CurrentFilter(data)
         self._coming: _Coming | None = None
         self._orders: list[Order] = []
@@ -135,6 +136,7 @@ class Follower:
         """Begin to take over a solution."""
         if solved.past is not None:
             self.data.forget(solved.past)
+            self._forget()
         self.data.conclude(solved.conclusions)
         self._located = solved.located
         self._recent = [r for r in self._recent if r.number is None or r.number > solved.count]

@@ -8,7 +8,7 @@ import numpy as np
 from trigpoint.base.clock import NANOSECONDS, to_ns
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
-from trigpoint.site.config import CameraConfig
+from trigpoint.site.config import CameraConfig, FusionConfig, OdometryNoise
 from trigpoint.site.target import Target
 
 from .dataset import DataSet
@@ -236,7 +236,6 @@ def _priors(data: DataSet, cameras: list[str], robots: list[str], *, anchored: b
     site = data.site
     noise = {name: site.robots[name].odometry for name in robots}
     fusion = site.fusion
-    moves_faces = fusion.target_translation > 0 or fusion.target_rotation > 0
     places = {name: data.places_of(data.site_camera(name)) for name in cameras}
     owners = {name: next(each for each in places[name] if each in cameras) for name in cameras}
     configs = {name: site.cameras[data.site_camera(name)] for name in set(owners.values())}
@@ -267,12 +266,12 @@ def _priors(data: DataSet, cameras: list[str], robots: list[str], *, anchored: b
         scales={
             name: free("scales", name, np.array([each.distance_scale, each.heading_scale]))
             for name, each in noise.items()
-            if each.distance_scale > 0 or each.heading_scale > 0
+            if estimates_scales(each)
         },
         faces={
             name: (base_from_faces(data.targets[name]), *free("faces", name, of_faces).tolist())
             for name in robots
-            if moves_faces
+            if estimates_faces(fusion)
         },
         known=known,
     )
@@ -285,6 +284,16 @@ def _by_places(known: KnownCameras, data: DataSet, owners: dict[str, str]) -> Kn
         (kind, owner_of.get(name, name)): value for (kind, name), value in known.values.items()
     }
     return replace(known, values=values)
+
+
+def estimates_scales(noise: OdometryNoise) -> bool:
+    """Whether an odometry's scales are estimated."""
+    return noise.distance_scale > 0 or noise.heading_scale > 0
+
+
+def estimates_faces(fusion: FusionConfig) -> bool:
+    """Whether the faces' places on the robots are estimated."""
+    return fusion.target_translation > 0 or fusion.target_rotation > 0
 
 
 def lens_sigmas(camera: CameraConfig, lens: CameraModel) -> Array:

@@ -128,6 +128,12 @@ class DataSet:
                 self.tracks[name] = OdometryTrack(robot.odometry, planar=robot.planar)
 
     @property
+    def has_alike_robots(self) -> bool:
+        """Whether several robots carry one target."""
+        targets = list(self.targets.values())
+        return any(target in targets[:order] for order, target in enumerate(targets))
+
+    @property
     def anchored_robot(self) -> str | None:
         """The robot whose first odometry pose fixes the map; None where known cameras do."""
         return None if self.known.poses else self.site.first_robot
@@ -235,16 +241,15 @@ class DataSet:
         """What is kept of a camera's past."""
         return PastCamera() if self.past is None else self.past.cameras.get(camera, PastCamera())
 
+    def is_past(self, observation: Observation) -> bool:
+        """Whether a sighting is part of the past, which says what it told."""
+        past = self.past
+        return past is not None and past.is_over(observation.robot, observation.stamp_ns)
+
     def forget(self, past: Past) -> None:
         """Go on from a past: drop what is part of it, and what was concluded from that."""
         self.past, self.known = past, past.known
-        self._take_entries(
-            [
-                entry
-                for entry in self.entries
-                if not past.is_over(entry.observation.robot, entry.observation.stamp_ns)
-            ]
-        )
+        self._take_entries([each for each in self.entries if not self.is_past(each.observation)])
         for robot, since_ns in past.since_ns.items():
             self.tracks[robot].forget_before(since_ns - ODOMETRY_BEFORE_NS)
         self.moves.clear()

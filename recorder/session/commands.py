@@ -36,6 +36,8 @@ def info(
     ] = "",
 ) -> None:
     """What is in a recording: keys with their types, rates, gaps and losses."""
+    if at and json:
+        raise InputError("--at says where a moment is in one line a file; leave --json out")
     if at:
         _say_where(session, at)
         return

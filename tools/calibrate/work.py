@@ -10,6 +10,7 @@ from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.inputs import load_inputs
 from trigpoint.fusion.model.inputs import Inputs
 from trigpoint.fusion.pipeline import Pipeline
+from trigpoint.fusion.replaying import replayed
 from trigpoint.recorder.session.recording import Recording, open_recording
 from trigpoint.site.config import load_site
 from trigpoint.site.option import site_here
@@ -110,7 +111,7 @@ def fed(
             f"{source}: it is of robot {', '.join(sorted(robots))}, and the site file has only "
             f"{', '.join(sorted(inputs.site.robots))}; use the same names"
         )
-    return pipeline.replay(_told(found.in_order, step))
+    return replayed(pipeline, _told(found.in_order, step))
 
 
 def _told(

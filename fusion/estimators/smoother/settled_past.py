@@ -60,9 +60,9 @@ class Limits:
         since_ns = {}
         for robot in data.tracks:
             # A robot that stays away is not lost, as long as that is no matter of days.
-            own_ns = _newest(stamps[robot] or [cut_ns], _LEAST_OF_A_ROBOT)
-            own_ns = max(own_ns or min(stamps[robot], default=cut_ns), moved_ns, odometry_ns)
-            since_ns[robot] = max(min(cut_ns, own_ns), before.get(robot, 0))
+            own = sorted(stamps[robot])[-_LEAST_OF_A_ROBOT:] or [cut_ns]
+            own_ns = min(cut_ns, max(own[0], moved_ns, odometry_ns))
+            since_ns[robot] = max(own_ns, before.get(robot, 0))
         return since_ns
 
 
@@ -79,7 +79,7 @@ def past_path(path: Trajectory, past: Past, robot: str) -> Trajectory:
     return Trajectory(path.stamps_ns[rows], path.map_from_base[rows])
 
 
-def _newest(stamps: "np.ndarray | list[int]", count: int) -> int:
+def _newest(stamps: np.ndarray | list[int], count: int) -> int:
     """The oldest of so many newest stamps; 0 where there are fewer."""
     every = np.asarray(stamps, dtype=np.int64)
     return int(np.partition(every, -count)[-count]) if len(every) > count else 0

@@ -38,14 +38,14 @@ from .settled_past import OF_A_SESSION, Limits, past_path, settled_past
 
 
 class Smoother:
-    """See `Estimator`. `limits`: on what it keeps."""
+    """See `Estimator`. `limits`: on what it keeps; where robots look alike, a recording is kept
+    whole, since of its sightings many come at the end."""
 
     def __init__(self, data: DataSet, limits: Limits = OF_A_SESSION) -> None:
         self.data, self._limits = data, limits
         self._past_paths: dict[str, list[Trajectory]] = defaultdict(list)
+        self._is_kept_whole = limits.paths and data.has_alike_robots
         self._collected = 0
-        targets = list(data.targets.values())
-        self._are_alike = any(target in targets[:order] for order, target in enumerate(targets))
         self._explainer = Explainer(data)
         self._batch = BatchSolution(data)
         self._current = CurrentFilter(data)
@@ -89,10 +89,8 @@ class Smoother:
     def collect(self, observation: Observation) -> None:
         self._explainer.take(observation, is_used=False)
         self.data.entries.append(Entry(self.data.concluded(observation)))
-        # Where that leaves too much open, it is tried again when a tenth more is there. Of robots
-        # that look alike the sightings of before are still to come.
-        is_more = len(self.data.entries) > 1.1 * self._collected and not self._are_alike
-        if is_more and self._limits.is_reached(self.data, is_open=False):
+        # Where that leaves too much open, it is tried again when a tenth more is there.
+        if len(self.data.entries) > 1.1 * self._collected and self._is_much(is_open=False):
             self.finish()
             self._collected = len(self.data.entries)
 
@@ -114,8 +112,12 @@ class Smoother:
         """Explain and solve everything that came, unless that is done already."""
         if not self._explainer.has_new or not self._solve():
             return
-        if self._limits.is_reached(self.data, is_open=self._is_open) and self._summarise():
+        if self._is_much(is_open=self._is_open) and self._summarise():
             self._solve()
+
+    def _is_much(self, *, is_open: bool) -> bool:
+        """Whether the older part of what came is to be summarised."""
+        return not self._is_kept_whole and self._limits.is_reached(self.data, is_open=is_open)
 
     def _solve(self) -> bool:
         """Explain and solve everything; whether that succeeded."""
@@ -156,7 +158,7 @@ class Smoother:
             if self._limits.paths:
                 self._keep_paths(past)
             self.data.forget(past)
-            self._explainer.forget(past)
+            self._explainer.forget_past()
             self._batch.go_on_from_the_past()
         return past is not None
 

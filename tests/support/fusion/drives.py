@@ -20,6 +20,7 @@ from trigpoint.fusion.inbox import INPUT_TOPICS, Input
 from trigpoint.fusion.intake.message_intake import Intake
 from trigpoint.fusion.model.dataset import DataSet, Entry
 from trigpoint.fusion.pipeline import Inputs, Output, Pipeline
+from trigpoint.fusion.replaying import replayed
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.map.network import PoseRecord, encode_tum
@@ -280,7 +281,7 @@ def offline(session: Session) -> Results:
 
 def pushed(inputs: Inputs, messages: tuple[tuple[str, Message], ...]) -> Pipeline:
     """A pipeline after everything was pushed in this order and it was finished."""
-    pipeline = Pipeline(inputs, is_live=False).replay(messages)
+    pipeline = replayed(Pipeline(inputs, is_live=False), messages)
     pipeline.finish()
     return pipeline
 

@@ -25,6 +25,7 @@ from trigpoint.fusion.association.visits import visit_of
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.pipeline import Inputs, Pipeline
+from trigpoint.fusion.replaying import replayed
 from trigpoint.site.config import Site, parse_site
 from trigpoint.site.target import Target
 
@@ -201,7 +202,7 @@ def data_of(shape: Shape) -> tuple[DataSet, list[Observation]]:
     """What fusion knows of such a session once all of it came in, before it is explained."""
     session = small_session(shape)
     pipeline = Pipeline(Inputs(session.site, {"r1": session.target}), is_live=False)
-    pipeline.replay(session.messages).finish()
+    replayed(pipeline, session.messages).finish()
     data = pipeline._data  # pyright: ignore[reportPrivateUsage]
     return data, [entry.observation for entry in data.entries]
 

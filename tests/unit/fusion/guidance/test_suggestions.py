@@ -18,6 +18,7 @@ from trigpoint.fusion.guidance.suggestions import JointCovariance, Options, opti
 from trigpoint.fusion.live.guidance_thread import GuidanceThread
 from trigpoint.fusion.model.odometry import OdometryTrack
 from trigpoint.fusion.pipeline import Pipeline
+from trigpoint.fusion.replaying import replayed
 from trigpoint.fusion.solver.equations import covariance_of
 from trigpoint.fusion.solver.snapshot import ExpectedMotion, GuidanceWorld, RobotPlace
 from trigpoint.geometry import Pose
@@ -38,7 +39,7 @@ def first_drive(seed: int) -> Session:
 
 
 def fed(session: Session, messages: tuple) -> Pipeline:
-    return Pipeline(session.inputs, is_live=False).replay(messages)
+    return replayed(Pipeline(session.inputs, is_live=False), messages)
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +124,7 @@ def visited(drive: Drive, map_from_base: Pose, worst: str) -> tuple[float, set[s
                 continue
             seen.add(node)
         messages.append((node, message))
-    pipeline.replay(messages)
+    replayed(pipeline, messages)
     pipeline.finish()
     covariance = pipeline._estimator.cameras()[worst].covariance
     return float(np.sqrt(np.trace(covariance[:3, :3]))), seen

@@ -20,6 +20,7 @@ from trigpoint.fusion.live.solver_messages import (
 from trigpoint.fusion.live.solver_process import Alive, Heartbeat, SolverProcess
 from trigpoint.fusion.live.solver_worker import SolverWorker
 from trigpoint.fusion.pipeline import Pipeline
+from trigpoint.fusion.replaying import replayed
 
 
 class Desk:
@@ -73,7 +74,7 @@ class Listed:
 def orders_of(session: Session) -> list[Order]:
     """What a solver is told over a session; the last is to finish."""
     listed = Listed()
-    Pipeline(session.inputs, solver=listed).replay(session.messages).finish()
+    replayed(Pipeline(session.inputs, solver=listed), session.messages).finish()
     return listed.orders
 
 

@@ -8,6 +8,7 @@ from support.fusion.small_problems import small_data
 
 from trigpoint.base.clock import to_ns
 from trigpoint.fusion.estimators.smoother.settled_past import Limits
+from trigpoint.fusion.estimators.smoother.smoother import Smoother
 from trigpoint.fusion.model.dataset import DataSet, Entry, Move
 from trigpoint.fusion.model.known_cameras import KnownCameras
 from trigpoint.fusion.model.past import Past
@@ -92,3 +93,10 @@ def test_what_is_open_is_given_more_time(count: int, is_open: bool, is_reached: 
     data = data_of({"r1": range(0), "r2": range(0)})
     data.entries = [Entry(small_data(sightings=1).entries[0].observation)] * count
     assert Limits(sightings=100).is_reached(data, is_open=is_open) == is_reached
+
+
+@pytest.mark.parametrize(("paths", "is_much"), [(False, True), (True, False)])
+def test_a_recording_of_robots_that_look_alike_is_kept_whole(paths: bool, is_much: bool) -> None:
+    data = data_of({"r1": range(100, 400), "r2": range(0)})
+    assert data.has_alike_robots
+    assert Smoother(data, Limits(100, paths=paths))._is_much(is_open=False) == is_much
