@@ -14,6 +14,7 @@ import typer
 
 from trigpoint.base.clock import SystemClock, to_seconds
 from trigpoint.base.errors import InputError, OperationError
+from trigpoint.base.words import counted
 from trigpoint.contract.access import Kind
 from trigpoint.contract.topics import command_key
 from trigpoint.metrics.serving import metrics_served
@@ -29,6 +30,7 @@ from .replay.pace import Controls, keyboard, span_of
 from .session.recording import Recording, open_recording
 from .viewer.page import LOOPBACK
 from .viewer.process import WEB_PORT, Viewer
+from .writing.sink import McapSink
 
 if TYPE_CHECKING:
     import rerun as rr  # half a second to import, which `record` and `replay` need not wait
@@ -109,7 +111,7 @@ def record(
             typer.echo(f"{what} site {loaded.name} to {path}")
             node.wait()
     if session.last is not None:
-        _say_recorded(session.last.path, session.last.counts, session.last.lost)
+        _say_recorded(session.last)
 
 
 def tell_recorder(site: Site, command: str) -> None:
@@ -332,12 +334,16 @@ def _say_plan(recording: Recording, plan: player.Plan, site: str, rate: float) -
         typer.echo(f"left out: {key}: {reason}")
 
 
-def _say_recorded(path: Path, counts: dict[str, int], lost: int) -> None:
+def _say_recorded(sink: McapSink) -> None:
+    counts, files = sink.counts, sink.files
     for key, count in counts.items():
         typer.echo(f"{count:8d}  {key}")
     if not counts:
         typer.echo(
             "nothing was sent on the site while it was recorded; `trigpoint status` shows it"
         )
-    size = path.stat().st_size / 1e6
-    typer.echo(f"{sum(counts.values()):8d}  messages, {size:.1f} MB, {lost} lost: {path}")
+    size = sum(file.stat().st_size for file in files) / 1e6
+    where = files[0] if len(files) == 1 else sink.path.parent
+    typer.echo(f"{sum(counts.values()):8d}  messages, {size:.1f} MB, {sink.lost} lost: {where}")
+    if removed := sink.part - len(files):
+        typer.echo(f"of {counted(sink.part, 'file')} the oldest {removed} made room for the others")

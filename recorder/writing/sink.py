@@ -12,6 +12,7 @@ import uuid
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import compress
 from operator import attrgetter
 from pathlib import Path
 from types import TracebackType
@@ -108,6 +109,11 @@ class McapSink:
     def path(self) -> Path:
         """The session's first file."""
         return self._first_path
+
+    @property
+    def files(self) -> list[Path]:
+        """The finished parts, in order, but for those that made room; complete after `close`."""
+        return [self._first_path.with_name(fact.name) for fact in self._facts]
 
     @property
     def part(self) -> int:
@@ -342,9 +348,9 @@ class McapSink:
         if room is None or is_last or now_ns - self._looked_ns < to_ns(_ROOM_S):
             return
         self._looked_ns = now_ns
-        folder = self._first_path.parent
-        problem = room.problem(folder, [folder / fact.name for fact in self._facts])
-        self._facts = [fact for fact in self._facts if (folder / fact.name).exists()]
+        problem = room.problem(self._first_path.parent, self.files)
+        is_there = [file.exists() for file in self.files]
+        self._facts = list(compress(self._facts, is_there))
         if problem:
             if part is not None:
                 self._finish_part(part)

@@ -17,7 +17,9 @@ from trigpoint.base.clock import SystemClock
 from trigpoint.base.errors import RecordingError
 from trigpoint.contract import cdr
 from trigpoint.contract.topics import CAMERA_INFO, CORRECTION, IMAGE, ODOMETRY
+from trigpoint.recorder.commands import _say_recorded
 from trigpoint.recorder.mcap.check import check
+from trigpoint.recorder.mcap.chunk import Compression
 from trigpoint.recorder.mcap.writer import McapWriter
 from trigpoint.recorder.session.files import CLOCK, LOSSES
 from trigpoint.recorder.session.recording import open_recording
@@ -257,6 +259,30 @@ def test_over_the_budget_the_oldest_recordings_go_and_then_finished_parts(tmp_pa
     assert [file.exists() for file in parts] == [False, True, True]
     assert "are allowed (budget" in replace(room, budget=1.5 * size).problem(running, parts[:2])
     assert [file.exists() for file in [others, *parts]] == [True, False, True, True]
+
+
+def test_a_recording_over_its_budget_goes_on_and_tells_what_is_left(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    room = Room(tmp_path, 0.0, frees_oldest=False, prefix="lab", budget=60_000.0)
+    path = tmp_path / "lab_20260101T000000Z" / "session.mcap"
+    settings = SinkSettings(compression=Compression.NONE, room=room)
+    with McapSink(path, clock=SystemClock(), settings=settings) as sink:
+        while path.exists():
+            part = sink.part
+            assert part < 200
+            for number in range(10):  # 7 kB
+                put(sink, 10 * part + number)
+            sink.split()
+            assert eventually(lambda part=part: sink.part > part)
+    assert sink.lost == 0
+    assert all(file.exists() for file in sink.files)
+    assert sink.files[-1] == path.with_name(f"session_part{sink.part}.mcap")
+    kept = [sample.log_ns for sample in open_recording(path.parent).samples()]
+    assert kept == list(range(kept[0], 10 * sink.part))
+    _say_recorded(sink)
+    removed = sink.part - len(sink.files)
+    assert f"of {sink.part} files the oldest {removed} made room" in capsys.readouterr().out
 
 
 class Midnight(SystemClock):

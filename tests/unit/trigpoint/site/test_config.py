@@ -59,6 +59,7 @@ def test_unknown_key_of_a_camera_names_the_camera() -> None:
         (site_text(more="[fusion.priors]\nevent = 0"), "fusion.priors.event"),
         (site_text(more="[fusion.priors]\nwild_corner = 1.0"), "fusion.priors.wild_corner"),
         (site_text(more="[fusion.priors]\nroom = [30.0, 5.0]"), "fusion.priors.room"),
+        (site_text(more="[recorder]\nbudget = 4e5"), "budget is 400000 bytes"),
         (site_text(cameras=0, more="[cameras]"), "at least one camera"),
         ('site = "lab"\n[cameras.c]\nsource="a://"\n[robots.r]\nport="p"', "has no target"),
         (site_text(bus='connect = ["10.0.0.1"]'), "«10.0.0.1» is no endpoint"),
