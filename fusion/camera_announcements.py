@@ -53,7 +53,9 @@ class CameraAnnouncements:
         self._poses: dict[str, _Known] = {}
         self._floors: dict[str, _Known] = {}
         self._said: set[str] = set()
+        # The last transforms of all; whether they are due though the others are not through.
         self._static: dict[str, Transform] = {}
+        self._is_static_due = False
         self._floor_from: dict[str, Pose] = {}
 
     def is_due(self, stamp_ns: int, *, is_quiet: bool) -> bool:
@@ -67,6 +69,7 @@ class CameraAnnouncements:
         known = {name: _Known(stamp_ns, camera) for name, camera in cameras.items()}
         new = {name: one for name, one in known.items() if name not in self._said}
         waiting = {name: known[name] for name in self._poses if name in known}
+        self._is_static_due = bool(waiting)
         self._poses = new | waiting | known
         self._static = {name: one for name, one in self._static.items() if name in known}
         self._floors = {name: one for name, one in self._floors.items() if name in known}
@@ -96,7 +99,7 @@ class CameraAnnouncements:
             yield from self._say_floor()
 
     def _say_poses(self, most: int) -> Iterator[Output]:
-        transforms = []
+        transforms, is_new = [], False
         for name in list(self._poses)[:most]:
             known = self._poses.pop(name)
             self._said.add(name)
@@ -105,9 +108,12 @@ class CameraAnnouncements:
             yield Output(topics.CAMERA_POSE, name, estimate)
             one = Transform(known.stamp_ns, "map", f"{name}/optical", pose)
             transforms.append(one)
+            is_new |= name not in self._static
             self._static[name] = one
         if transforms:
             yield Output(topics.TF, "", Transforms(tuple(transforms)))
+        if transforms and (is_new or self._is_static_due or not self._poses):
+            self._is_static_due = False
             yield Output(topics.TF_STATIC, "", Transforms(tuple(self._static.values())))
 
     def _say_floor(self) -> Iterator[Output]:

@@ -14,6 +14,7 @@ from trigpoint.geometry import CameraModel, Pose
 
 from .cdr_codecs import CODECS
 from .cdr_ros import Builder, full_definition, store
+from .cdr_writing import quickly_written
 from .messages import (
     CAMERA_INFO,
     ODOMETRY,
@@ -55,7 +56,7 @@ _MOST_BYTES = {PICTURE: 16 << 20, ODOMETRY: 4 << 10, CAMERA_INFO: 64 << 10}
 
 def encode(message: Message) -> bytes:
     """The CDR bytes of a message, with the encapsulation header."""
-    quickly = cdr_layout.odometry_bytes(message) if isinstance(message, Odometry) else None
+    quickly = quickly_written(message)
     return quickly if quickly is not None else encode_by_definition(message)
 
 

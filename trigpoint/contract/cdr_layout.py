@@ -1,5 +1,4 @@
 """Reads odometry, sightings and poses directly from their bytes: a session has tens of thousands.
-Also writes odometry directly: it is the most frequent message, and robots' computers are small.
 
 rosbags takes 32 µs for an odometry message, this 5 µs. Only messages that are valid in every
 respect are read; for all others these functions return None, and the general path in `cdr` says
@@ -90,29 +89,6 @@ def pose_estimate(payload: bytes) -> PoseEstimate | None:
         frame_id,
         Pose(of_quaternion(*quaternion), np.array((x, y, z))),
         covariance.reshape(6, 6).astype(float),
-    )
-
-
-def odometry_bytes(message: Odometry) -> bytes | None:
-    """The bytes that `odometry` reads; None if the stamp does not fit."""
-    seconds, nanoseconds = divmod(message.stamp_ns, 1_000_000_000)
-    if not 0 <= seconds < 1 << 31:
-        return None
-    data = bytearray(_LITTLE_ENDIAN + b"\0\0")
-    data += _STAMP.pack(seconds, nanoseconds)
-    for name in (message.frame_id, message.child_frame_id):
-        text = name.encode() + b"\0"
-        data += bytes(_aligned(len(data), 4) - len(data)) + _COUNT.pack(len(text)) + text
-    data += bytes(_aligned(len(data), 8) - len(data))
-    pose = message.pose
-    return bytes(
-        data
-        + _ODOMETRY.pack(
-            *pose.translation,
-            *pose.quaternion,
-            *message.linear,
-            *message.angular,
-        )
     )
 
 

@@ -119,13 +119,16 @@ def _quaternions_of_small(matrix: Array, trace: Array) -> Array:
 def _one_quaternion(matrix: Array) -> Array:
     """`to_quaternion` of a single matrix, which every message needs: a fifth of the time."""
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = matrix.tolist()
-    rows = (
-        (1 + xx - yy - zz, xy + yx, xz + zx, zy - yz),
-        (xy + yx, 1 + yy - xx - zz, yz + zy, xz - zx),
-        (xz + zx, yz + zy, 1 + zz - xx - yy, yx - xy),
-        (zy - yz, xz - zx, yx - xy, 1 + xx + yy + zz),
-    )
-    row = max(enumerate(rows), key=lambda item: item[1][item[0]])[1]
+    squares = (1 + xx - yy - zz, 1 + yy - xx - zz, 1 + zz - xx - yy, 1 + xx + yy + zz)
+    largest = max(squares)
+    if largest == squares[0]:
+        row = (largest, xy + yx, xz + zx, zy - yz)
+    elif largest == squares[1]:
+        row = (xy + yx, largest, yz + zy, xz - zx)
+    elif largest == squares[2]:
+        row = (xz + zx, yz + zy, largest, yx - xy)
+    else:
+        row = (zy - yz, xz - zx, yx - xy, largest)
     length = -math.hypot(*row) if row[3] < 0 else math.hypot(*row)
     return np.array(row) / length
 

@@ -108,6 +108,34 @@ def test_floor_is_said_again_of_a_camera_that_moved() -> None:
     assert floors(list(news.rest())) == ["c2"]
 
 
+def static(outputs: list[Output]) -> list[list[int]]:
+    """The stamps of each message that names all cameras."""
+    messages = [output.message for output in outputs if output.topic is topics.TF_STATIC]
+    return [[t.stamp_ns for t in m.transforms] for m in messages if isinstance(m, Transforms)]
+
+
+def test_all_transforms_together_are_said_once_a_round_and_with_a_camera_that_is_new() -> None:
+    news = announcements()
+    news.take(0, cameras(20), is_urgent=False)
+    turns = [static(list(news.next(is_quiet=True))) for _ in range(4)]
+    assert turns == [[[0] * 8], [[0] * 16], [[0] * 20], []]
+    news.take(1, cameras(20), is_urgent=False)
+    turns = [static(list(news.next(is_quiet=True))) for _ in range(3)]
+    assert turns == [[], [], [[1] * 20]]
+    news.take(2, cameras(20) | cameras(1, first=30), is_urgent=False)
+    assert static(list(news.next(is_quiet=False))) == [[1] * 20 + [2]]
+
+
+def test_all_transforms_together_are_said_once_a_round_that_never_ends() -> None:
+    news = announcements()
+    news.take(0, cameras(20), is_urgent=False)
+    list(news.rest())
+    for stamp in (1, 2, 3):
+        news.take(stamp, cameras(20), is_urgent=False)
+        said_now = [static(list(news.next(is_quiet=False))) for _ in range(5)]
+        assert [len(turn) for turn in said_now] == [int(stamp > 1), 0, 0, 0, 0]
+
+
 def test_camera_that_is_not_located_any_more_is_not_said() -> None:
     news = announcements()
     news.take(0, cameras(3), is_urgent=True)
