@@ -1,17 +1,18 @@
 """The border to the compiled core: every array that crosses it is checked here.
 
-A `Kernel` is one function of the library with the types and shapes of what it takes. A call checks
-them, so that nothing can be read or written outside of an array; the interpreter's lock is released
-while the core works, and what goes wrong there comes back as an error.
+A `Kernel` is one function of the library with the types and shapes of what it takes. A call has
+them checked (`packing.cpp`), so that nothing can be read or written outside of an array; the
+interpreter's lock is released while the core works, and what goes wrong there comes back as an
+error.
 """
 
 import ctypes
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from struct import Struct
-from typing import ClassVar
+from typing import Any, ClassVar
 from weakref import finalize
 
 import numpy as np
@@ -19,8 +20,17 @@ import numpy as np
 LIBRARY = Path(__file__).with_name("libtrigpoint_core.so")
 _ERROR_BYTES = 256
 _NO_MEMORY = -2
-# As `trigpoint::Argument` of `border.hpp`: an array's address and shape, or a number.
-_ARRAY, _INT, _FLOAT, _HANDLE = (Struct(form) for form in ("Pqqq", "q24x", "d24x", "P24x"))
+# As `trigpoint::Argument` of `border.hpp` and `Parameter` of `packing.cpp`.
+_ARGUMENT_BYTES = 32
+_PARAMETER = Struct("=icbbb3q")
+_ARRAY, _WHOLE, _NUMBER, _OBJECT = range(4)
+_MOST_LETTERS = 24
+_KINDS = {"f": b"f", "i": b"i", "u": b"u", "b": b"?"}
+# The functions of CPython that `packing.cpp` calls, in its order.
+_PYTHON = (
+    *("PyTuple_GetItem", "PyObject_GetBuffer", "PyBuffer_Release", "PyFloat_AsDouble"),
+    *("PyLong_AsLongLong", "PyErr_Occurred", "PyErr_Clear"),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,10 +41,6 @@ class In:
     dtype: type
     shape: tuple[int | str, ...]
     is_written: ClassVar[bool] = False
-    native: np.dtype = field(init=False, compare=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "native", np.dtype(self.dtype))
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +57,14 @@ class Kernel:
     def __init__(self, name: str, *parameters: In | type) -> None:
         self.name = name
         self.parameters = parameters
+        self._handles = [
+            (row, kind)
+            for row, kind in enumerate(parameters)
+            if isinstance(kind, type) and issubclass(kind, Handle)
+        ]
+        letters: dict[str, int] = {}
+        self._layout = b"".join(_packed(parameter, letters) for parameter in parameters)
+        assert len(letters) <= _MOST_LETTERS, name
 
     def __call__(self, *values: object) -> int:
         """What the function counts, 0 or more.
@@ -60,13 +74,12 @@ class Kernel:
         """
         if len(values) != len(self.parameters):
             raise TypeError(f"{self.name} takes {len(self.parameters)} arguments")
-        lengths: dict[str, int] = {}
-        arguments = b"".join(
-            [
-                self._packed(value, parameter, lengths)
-                for value, parameter in zip(values, self.parameters, strict=True)
-            ]
-        )
+        given = self._with_addresses(values) if self._handles else values
+        arguments = ctypes.create_string_buffer(_ARGUMENT_BYTES * len(values))
+        pack, python = _packing()
+        fault = pack(given, self._layout, len(values), python, arguments)
+        if fault:
+            raise self._refusal(values, *divmod(fault, 8))
         error = ctypes.create_string_buffer(_ERROR_BYTES)
         count = _function(self.name)(arguments, error)
         if count >= 0:
@@ -74,48 +87,45 @@ class Kernel:
         text = error.value.decode(errors="replace")
         raise MemoryError(text) if count == _NO_MEMORY else RuntimeError(f"{self.name}: {text}")
 
-    def _packed(self, value: object, parameter: In | type, lengths: dict[str, int]) -> bytes:
-        if isinstance(parameter, In):
-            return self._packed_array(value, parameter, lengths)
-        if parameter is float and isinstance(value, int | float | np.floating):
-            return _FLOAT.pack(value)
-        if parameter is int and isinstance(value, int | np.integer):
-            return _INT.pack(value)
-        if issubclass(parameter, Handle) and isinstance(value, parameter):
-            return _HANDLE.pack(value.address)
-        raise TypeError(f"{self.name} takes {parameter.__name__}, not {type(value).__name__}")
+    def _with_addresses(self, values: tuple[object, ...]) -> tuple[object, ...]:
+        """The values with the address of each object of the core in its place."""
+        given = list(values)
+        for row, kind in self._handles:
+            value = given[row]
+            if not isinstance(value, kind):
+                raise self._refusal(values, row, 1)
+            given[row] = value.address
+        return tuple(given)
 
-    def _packed_array(self, value: object, parameter: In, lengths: dict[str, int]) -> bytes:
-        if not isinstance(value, np.ndarray):
-            kind = type(value).__name__
-            raise TypeError(f"{self.name} takes {parameter.dtype.__name__} arrays, not {kind}")
-        dtype, shape, flags = value.dtype, value.shape, value.flags
-        # Nearly always the same object: `==` of two types of numbers takes longer than all else.
-        if dtype is not parameter.native and dtype != parameter.native:
-            raise TypeError(f"{self.name} takes {parameter.dtype.__name__} arrays, not {dtype}")
-        if not _is_fit(shape, parameter.shape, lengths):
-            raise ValueError(f"{self.name} takes shape {parameter.shape}, not {shape}")
-        if not flags.c_contiguous or not flags.aligned:
-            raise ValueError(f"{self.name} takes arrays that lie in one piece")
-        if parameter.is_written and not flags.writeable:
-            raise ValueError(f"{self.name} writes to an array that is read-only")
-        if flags.writeable and 0 not in shape:  # a quarter of the other's time
-            address = ctypes.addressof(ctypes.c_char.from_buffer(value))  # pyright: ignore
-        else:
-            address = value.__array_interface__["data"][0]
-        return _ARRAY.pack(address, *shape, *(0, 0, 0)[len(shape) :])
+    def _refusal(self, values: tuple[object, ...], row: int, fault: int) -> Exception:
+        """Why a value is not taken; `fault`: of `packing.cpp`."""
+        value, wanted = values[row], self.parameters[row]
+        kind = getattr(value, "dtype", type(value).__name__)
+        if not isinstance(wanted, In):
+            return TypeError(f"{self.name} takes {wanted.__name__}, not {kind}")
+        if fault == 1:
+            return TypeError(f"{self.name} takes {wanted.dtype.__name__} arrays, not {kind}")
+        why = {
+            2: f"takes shape {wanted.shape}, not {np.shape(value)}",  # pyright: ignore
+            3: "takes arrays that lie in one piece",
+            4: "writes to an array that is read-only",
+        }
+        return ValueError(f"{self.name} {why[fault]}")
 
 
-def _is_fit(
-    shape: tuple[int, ...], expected: tuple[int | str, ...], lengths: dict[str, int]
-) -> bool:
-    """Whether a shape is the expected one; `lengths`: of the letters so far."""
-    if len(shape) != len(expected):
-        return False
-    for axis, length in zip(expected, shape, strict=True):
-        if length != (axis if axis.__class__ is int else lengths.setdefault(axis, length)):  # pyright: ignore
-            return False
-    return True
+def _packed(parameter: In | type, letters: dict[str, int]) -> bytes:
+    """A parameter as `packing.cpp` reads it; `letters`: the number of each so far."""
+    if isinstance(parameter, In):
+        native = np.dtype(parameter.dtype)
+        axes = [
+            -1 - letters.setdefault(axis, len(letters)) if isinstance(axis, str) else axis
+            for axis in parameter.shape
+        ]
+        axes += [0] * (3 - len(axes))
+        sizes = native.itemsize, len(parameter.shape), parameter.is_written
+        return _PARAMETER.pack(_ARRAY, _KINDS[native.kind], *sizes, *axes)
+    kind = {int: _WHOLE, float: _NUMBER}.get(parameter, _OBJECT)
+    return _PARAMETER.pack(kind, b"?", 0, 0, 0, 0, 0, 0)
 
 
 class Handle:
@@ -139,8 +149,22 @@ _MAKE = "run `make core` in a checkout, or install Trigpoint again"
 @cache
 def _function(name: str) -> Callable[..., int]:
     """A function of the library; it is called without the interpreter's lock."""
+    return _found(_library(ctypes.CDLL), name)
+
+
+@cache
+def _packing() -> tuple[Callable[..., int], ctypes.Array[ctypes.c_void_p]]:
+    """`trigpoint_pack`, which is called with the interpreter's lock held; and what it calls."""
+    pack = _found(_library(ctypes.PyDLL), "trigpoint_pack")
+    address, number = ctypes.c_void_p, ctypes.c_int64
+    pack.argtypes = (ctypes.py_object, ctypes.c_char_p, number, address, address)
+    functions = [ctypes.cast(getattr(ctypes.pythonapi, name), address) for name in _PYTHON]
+    return pack, (address * len(functions))(*functions)
+
+
+def _found(library: ctypes.CDLL, name: str) -> Any:
     try:
-        function = _library()[name]
+        function = library[name]
     except AttributeError as error:
         raise ImportError(f"the compiled core is another version ({error}); {_MAKE}") from error
     function.restype = ctypes.c_int64
@@ -148,8 +172,8 @@ def _function(name: str) -> Callable[..., int]:
 
 
 @cache
-def _library() -> ctypes.CDLL:
+def _library(kind: type[ctypes.CDLL]) -> ctypes.CDLL:
     try:
-        return ctypes.CDLL(str(LIBRARY))
+        return kind(str(LIBRARY))
     except OSError as error:
         raise ImportError(f"the compiled core cannot be loaded ({error}); {_MAKE}") from error

@@ -11,6 +11,7 @@ from collections.abc import Iterable
 from enum import Enum
 
 import numpy as np
+from numpy.linalg import LinAlgError
 
 from trigpoint.base.clock import NANOSECONDS, to_ns
 from trigpoint.geometry import Pose
@@ -61,6 +62,17 @@ _CARRIED = Kernel(
     *(Out(_REAL, ("m", 12)), Out(_REAL, ("m", 6))),
 )
 _TWISTS_ABOUT = Kernel("tp_twists_about", *_TRACK, In(_WHOLE, ("m",)), Out(_REAL, ("m", 6)))
+_ONE = (int, int, In(_REAL, (7,)), float, float, In(_REAL, (2,)))
+_CARRIED_ON = Kernel(
+    "tp_carried_on",
+    *(*_TRACK, *_ONE, In(_REAL, (1, 12)), In(_REAL, (6, 6))),
+    *(Out(_REAL, (1, 12)), Out(_REAL, (6, 6))),
+)
+_STEP = Kernel(
+    "tp_odometry_step",
+    *(*_TRACK, *_ONE, In(_REAL, (1, 12)), In(_REAL, (1, 12)), In(_WHOLE, ("d",))),
+    *(Out(_REAL, ("d", "e")), Out(_REAL, ("d",)), Out(_REAL, ("d", "d"))),
+)
 _MOTION = Kernel(
     "tp_motion",
     *(*_TRACK, In(_WHOLE, ("m",)), In(_REAL, (7,)), float, float, In(_REAL, (2,))),
@@ -351,13 +363,51 @@ class OdometryTrack:
         count = len(stamps_ns) - 1
         ways, covariance, by_scale = (np.empty((count, *of)) for of in ((12,), (6, 6), (6, 2)))
         is_still = np.empty(count, dtype=bool)
-        parts = np.array([getattr(self.noise, part) for part in PARTS], dtype=float)
         _MOTION(
             *(*self._tables, np.ascontiguousarray(stamps_ns)),
-            *(parts, float(self.slip), float(self.skid), np.array(scales, dtype=float)),
+            *(*self._noise, np.array(scales, dtype=float)),
             *(ways, covariance, by_scale, is_still),
         )
         return Motion(Pose.from_rows(ways), covariance, by_scale, is_still)
+
+    def carried_on(
+        self, start_ns: int, end_ns: int, scales: Array, pose: Pose, covariance: Array
+    ) -> tuple[Pose, Array]:
+        """The robot's pose at a later moment by the motion in between, and the covariance (6, 6) of
+        its disturbance, from those at a moment; `scales` as for `motion`, and taken as known."""
+        end, spread = np.empty((1, 12)), np.empty((6, 6))
+        _CARRIED_ON(
+            *(*self._tables, start_ns, end_ns, *self._noise, np.array(scales, dtype=float)),
+            *(pose.rows(), np.ascontiguousarray(covariance), end, spread),
+        )
+        return Pose.from_rows(end)[0], spread
+
+    def step(
+        self, start_ns: int, end_ns: int, scales: Array, start: Pose, end: Pose
+    ) -> tuple[Array, Array, Array]:
+        """What the motion between two moments makes of the disturbance of the robot's pose, to
+        first order about poses at both: matrix (d, d + 2), shift (d,) and noise (d, d).
+
+        With the disturbance δ (d,) of the start in the free directions and the change s (2,) of the
+        scales that of the end is matrix · (δ, s) + shift, and noise of that covariance. Raises
+        LinAlgError where the motion's covariance is not positive definite.
+        """
+        d = len(self.tangent)
+        matrix, shift, noise = np.empty((d, d + 2)), np.empty(d), np.empty((d, d))
+        is_determined = _STEP(
+            *(*self._tables, start_ns, end_ns, *self._noise, np.array(scales, dtype=float)),
+            *(start.rows(), end.rows(), np.array(self.tangent, dtype=np.int64)),
+            *(matrix, shift, noise),
+        )
+        if not is_determined:
+            raise LinAlgError("a motion's covariance is not positive definite")
+        return matrix, shift, noise
+
+    @property
+    def _noise(self) -> tuple[np.ndarray, float, float]:
+        """Parts of the noise (7,), slip and skid."""
+        parts = np.array([getattr(self.noise, part) for part in PARTS], dtype=float)
+        return parts, float(self.slip), float(self.skid)
 
     @property
     def _tables(self) -> tuple[np.ndarray, ...]:

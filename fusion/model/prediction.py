@@ -18,8 +18,7 @@ from .problem import Batch, Problem, State
 
 _NO_TWISTS = np.empty((0, 6))
 _REAL = np.float64
-_TERMS = Kernel(
-    "tp_corner_terms",
+_PICTURES = (
     In(_REAL, ("p",)),
     In(_REAL, (1, 12)),
     *(In(_REAL, ("n", 12)), In(_REAL, ("n", 12)), In(_REAL, ("f", 12))),
@@ -31,10 +30,12 @@ _TERMS = Kernel(
     In(_REAL, ("n",)),
     In(np.int64, ("d",)),
     *(int, int),
-    Out(_REAL, ("n", "k", 2)),
-    Out(_REAL, ("n", "k", "c")),
-    Out(_REAL, ("n", "k", "s")),
 )
+_TERMS = Kernel(
+    *("tp_corner_terms", *_PICTURES),
+    *(Out(_REAL, ("n", "k", 2)), Out(_REAL, ("n", "k", "c")), Out(_REAL, ("n", "k", "s"))),
+)
+_FACTOR = Kernel("tp_corner_factor", *_PICTURES, In(_REAL, ("v",)), Out(_REAL, ("q", "q")))
 _ODOMETRY = Kernel(
     "tp_odometry_terms",
     *(In(_REAL, ("n", 12)), In(_REAL, ("n", 12)), In(_REAL, ("n", 12))),
@@ -57,6 +58,18 @@ def batch_jacobian(problem: Problem, batch: Batch, state: State) -> tuple[Array,
     """
     residual, jacobian, _ = _terms(batch, state, problem)
     return jacobian, residual, _dense_columns(problem, batch)
+
+
+def picture_factor(problem: Problem, batch: Batch, state: State) -> tuple[Array, np.ndarray]:
+    """The triangular factor (d + q + 1, d + q + 1) of one picture's equations of unit noise, in the
+    d components of its node, q dense unknowns and, last, the residual; and the columns (q,) of
+    those. What the robot deviates from its node in it is eliminated, about its best fit."""
+    columns = _dense_columns(problem, batch)
+    size = len(problem.chains[batch.robot].tangent) + len(columns) + 1
+    factor = np.empty((size, size))
+    variances = np.empty(0) if batch.jitter is None else batch.jitter[0]
+    _FACTOR(*_given(batch, state, problem), np.ascontiguousarray(variances), factor)
+    return factor, columns
 
 
 def base_jacobian(batch: Batch, state: State) -> Array:

@@ -7,14 +7,13 @@ import numpy as np
 
 from trigpoint.fusion.model.gates import WILD_SHARE
 from trigpoint.fusion.model.observations import Observation, Reading
-from trigpoint.fusion.model.projection import projected
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
+from trigpoint.native.library import In, Kernel, Out
 from trigpoint.site.target import Target
 
 from .best_readings import best_readings
 from .faces import candidates, corners_of, is_same_pose, pixels_of
-from .planar_pose import least_squares_steps
 from .visibility import body_of
 
 # With a prior tighter than this, poses that a look-alike face or a turned board would need are
@@ -28,9 +27,23 @@ _HOPELESS = 100.0
 _FITS_SIGMAS = 6.0
 # A pose with an RMS residual this large is impossible: the ambiguity of one flat face is less.
 _FAR_RMS_SIGMAS = 100.0
-_MOST_STEPS = 12
-# After a step this small, m and rad, the next one would be its square: negligible.
-_SMALL_STEP = 1e-4
+_REAL = np.float64
+_EQUATIONS = (
+    *(In(_REAL, ("p",)), In(_REAL, (1, 12)), In(_REAL, ("n", 2)), In(_REAL, ("n",))),
+    *(In(_REAL, ("q", 12)), In(_REAL, ("r", "e")), In(np.int64, ("d",))),
+)
+_ALIGNED = Kernel(
+    *("tp_aligned", *_EQUATIONS, In(_REAL, ("b", "n", 3)), In(_REAL, ("b", 12))),
+    *(Out(_REAL, ("b", 12)), Out(_REAL, ("b",))),
+)
+_NEARLY = Kernel(
+    *("tp_aligned_nearly", *_EQUATIONS, In(_REAL, ("b", "n", 3)), In(_REAL, (1, 12))),
+    Out(_REAL, ("b",)),
+)
+_ROBUSTLY = Kernel(
+    *("tp_aligned_robustly", *_EQUATIONS, In(_REAL, ("n", 3)), In(_REAL, (1, 12))),
+    *(Out(_REAL, ("n",)), Out(_REAL, (1,))),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,24 +173,11 @@ class _Search:
         readings = self._read_at(prior.map_from_base)
         if readings is None:
             return nothing
-        points = corners_of(self.observation, body_of(self.target), readings[None])
-        pose, length, pull = Pose.stack([prior.map_from_base]), np.zeros(0), np.zeros(0)
-        for _ in range(_MOST_STEPS):
-            jacobian, residual, is_sound = self._linearised(pose, points)
-            if not is_sound[0]:
-                return nothing
-            count = 2 * len(self.pixels)
-            length = np.linalg.norm(residual[0, :count].reshape(-1, 2), axis=1)
-            pull = residual[0, count:]
-            # Cauchy's weights, with a scale that leaves most corners near their full weight.
-            weight = 1 / (1 + (length / max(2.0, 2 * float(np.median(length)))) ** 2)
-            root = np.concatenate([np.repeat(np.sqrt(weight), 2), np.ones(len(pull))])
-            steps = np.zeros((1, 6))
-            steps[:, self.tangent] = least_squares_steps(
-                jacobian * root[:, None], residual * root, is_sound
-            )
-            pose = pose.disturbed(steps)
-        is_elsewhere = pull @ pull > _FITS_SIGMAS**2
+        length, pull = np.empty(len(self.pixels)), np.empty(1)
+        points = self._points(readings[None])[0]
+        if not _ROBUSTLY(*self._given, points, prior.map_from_base.rows(), length, pull):
+            return nothing
+        is_elsewhere = pull[0] > _FITS_SIGMAS**2
         wild = length > _FITS_SIGMAS
         return nothing if is_elsewhere or wild.mean() > WILD_SHARE else wild
 
@@ -206,12 +206,8 @@ class _Search:
                 others.append(other)
         if not others:
             return np.inf
-        chosen = np.stack(others)
-        points = corners_of(self.observation, body_of(self.target), chosen)
-        jacobian, residual, is_sound = self._linearised(pose.repeated(len(others)), points)
-        steps = least_squares_steps(jacobian, residual, is_sound)
-        left = residual + (jacobian @ steps[..., None])[..., 0]
-        costs = np.where(is_sound, np.sum(left**2, axis=1), np.inf)
+        costs = np.empty(len(others))
+        _NEARLY(*self._given, self._points(np.stack(others)), pose.rows(), costs)
         return float(costs.min()) - cost
 
     def everywhere(self) -> Alignment | None:
@@ -261,47 +257,24 @@ class _Search:
     def _solved(self, starts: Pose, readings: np.ndarray) -> tuple[Pose, Array]:
         """Gauss-Newton over the robot's pose from starts (b) with readings (b, views): the poses
         and their costs (b,), infinite where it diverges."""
+        poses, costs = np.empty((len(readings), 12)), np.empty(len(readings))
+        begin = _flattened(starts, self.tangent).rows()
+        _ALIGNED(*self._given, self._points(readings), begin, poses, costs)
+        return Pose.from_rows(poses), costs
+
+    def _points(self, readings: np.ndarray) -> Array:
+        """The corners in the robot's frame by readings (b, views), (b, n, 3)."""
         points = corners_of(self.observation, body_of(self.target), readings)
-        poses, costs = _flattened(starts, self.tangent), np.full(len(readings), np.inf)
-        is_sound = np.ones(len(readings), dtype=bool)
-        for _ in range(_MOST_STEPS):
-            jacobian, residual, sound = self._linearised(poses, points)
-            is_sound &= sound
-            steps = self._steps(jacobian, residual, is_sound)
-            left = residual + (jacobian @ steps[..., None])[..., 0]
-            costs = np.where(is_sound, np.sum(left**2, axis=1), np.inf)
-            whole = np.zeros((len(readings), 6))
-            whole[:, self.tangent] = steps
-            poses = poses.disturbed(whole)
-            if np.abs(steps).max() < _SMALL_STEP:
-                break
-        return poses, costs
+        return np.ascontiguousarray(points)
 
-    def _steps(self, jacobian: Array, residual: Array, is_sound: np.ndarray) -> Array:
-        """`least_squares_steps`; a prior determines every direction, which saves half the time."""
-        if self.prior is None:
-            return least_squares_steps(jacobian, residual, is_sound)
-        transposed = np.swapaxes(jacobian, 1, 2) * is_sound[:, None, None]
-        information = transposed @ jacobian + np.eye(len(self.tangent)) * ~is_sound[:, None, None]
-        wanted = np.where(is_sound[:, None], residual, 0.0)
-        return -np.linalg.solve(information, transposed @ wanted[..., None])[..., 0]
-
-    def _linearised(self, poses: Pose, points: Array) -> tuple[Array, Array, np.ndarray]:
-        """Jacobian (b, m, k) and residual (b, m) at poses (b) with the prior's; which are valid."""
-        found = projected(self.lens, poses, points, self.map_from_camera)
-        residual = (found.pixels - self.pixels) * self.weights[:, None]
-        residual = residual.reshape(len(points), -1)
-        jacobian = found.by_body[..., self.tangent] * self.weights[:, None, None]
-        jacobian = jacobian.reshape(*residual.shape, len(self.tangent))
-        is_sound = np.all(found.is_ahead, axis=1) & np.all(np.isfinite(residual), axis=1)
-        if self.prior is None:
-            return jacobian, residual, is_sound
-        apart = poses.difference(self.prior.map_from_base)[:, self.tangent]
-        held = np.broadcast_to(self.root, (len(points), *self.root.shape))
+    @property
+    def _given(self) -> tuple[np.ndarray, ...]:
+        """The equations as the core takes them: `Equations` of `alignment.cpp`."""
+        prior = np.empty((0, 12)) if self.prior is None else self.prior.map_from_base.rows()
         return (
-            np.concatenate([jacobian, held], axis=1),
-            np.concatenate([residual, apart @ self.root.T], axis=1),
-            is_sound,
+            *(self.lens.parameters, self.map_from_camera.rows()),
+            *map(np.ascontiguousarray, (self.pixels, self.weights)),
+            *(prior, self.root, np.array(self.tangent, dtype=np.int64)),
         )
 
 

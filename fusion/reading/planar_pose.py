@@ -49,17 +49,3 @@ def planar_poses(lens: CameraModel, points: Array, pixels: Array, sigma: float) 
         *(rotation, translation, rms),
     )
     return [PoseFit(Pose(rotation[i], translation[i]), float(rms[i])) for i in range(count)]
-
-
-def least_squares_steps(jacobian: Array, residual: Array, is_wanted: np.ndarray) -> Array:
-    """The least-squares steps (b, k) of equations (b, m, k), (b, m); 0 where they are not wanted.
-
-    Directions that nothing determines are not changed.
-    """
-    steps = np.zeros((len(residual), jacobian.shape[-1]))
-    if np.any(is_wanted):
-        transposed = np.swapaxes(jacobian[is_wanted], 1, 2)
-        inverse = np.linalg.pinv(transposed @ jacobian[is_wanted], rcond=1e-12, hermitian=True)
-        gradient = transposed @ residual[is_wanted][..., None]
-        steps[is_wanted] = -(inverse @ gradient)[..., 0]
-    return steps

@@ -13,9 +13,8 @@ from functools import cached_property
 import numpy as np
 
 from trigpoint.fusion.model.dataset import DataSet
-from trigpoint.fusion.model.motion import odometry_step
 from trigpoint.fusion.model.observations import Observation, base_from_faces, points_of
-from trigpoint.fusion.model.prediction import batch_jacobian, odometry_terms
+from trigpoint.fusion.model.prediction import picture_factor
 from trigpoint.fusion.model.problem import (
     Batch,
     CameraState,
@@ -34,7 +33,6 @@ from trigpoint.geometry.uncertainty import lever
 
 from .equations import EXACT, Reduced, covariance_of
 from .gaussian import Gaussian
-from .picture_jitter import PictureJitter
 
 # A pose with a larger sigma counts as unknown: behind a jump of the odometry nothing connects it to
 # the map.
@@ -222,30 +220,15 @@ class Filter:
         return self.state.robots[robot].scales
 
     def advanced(self, data: DataSet, robot: str, stamp_ns: int, guess: Pose) -> "Filter":
-        """The filter with the robot's last pose moved on by odometry; `guess`: its new fixed point.
-
-        With r = e + J₀ δ₀ + J₁ δ₁ + Jₛ δₛ the whitened residual of odometry from the last pose to
-        the new one, δ₁ = -J₁⁻¹(e + J₀ δ₀ + Jₛ δₛ) with the covariance J₁⁻¹ J₁⁻ᵀ.
-        """
-        moments = np.array([self.stamps_ns[robot], stamp_ns])
-        motion = data.tracks[robot].motion(moments, self.scales(robot))
-        before = self.state.robots[robot]
-        terms = odometry_terms(
-            before.map_from_base, Pose.stack([guess]), motion, data.tracks[robot].tangent
+        """The filter with the robot's last pose moved on by odometry; `guess`: its new fixed
+        point. Raises LinAlgError as `OdometryTrack.step` does."""
+        before, start_ns = self.state.robots[robot], self.stamps_ns[robot]
+        last, scales = self.layout.last[robot], self.layout.scales_of(robot)
+        matrix, shift, noise = data.tracks[robot].step(
+            start_ns, stamp_ns, self.scales(robot), before.map_from_base[0], guess
         )
-        last = self.layout.last[robot]
-        scales = self.layout.scales_of(robot)
-        inverse = np.linalg.inv(terms.by_later[0])
-        by_start = np.concatenate(
-            [terms.by_earlier[0], terms.by_scale[0][:, : len(scales)]], axis=1
-        )
-        moved = self.known.moved(
-            last,
-            np.concatenate([last, scales]),
-            -inverse @ by_start,
-            -inverse @ terms.residual[0],
-            inverse @ inverse.T,
-        )
+        of = np.concatenate([last, scales])
+        moved = self.known.moved(last, of, matrix[:, : len(of)], shift, noise)
         there = replace(before, map_from_base=Pose.stack([guess]))
         state = State(self.state.cameras, self.state.robots | {robot: there})
         stamps_ns = self.stamps_ns | {robot: stamp_ns}
@@ -258,8 +241,8 @@ class Filter:
         normalised innovation squared, χ² with twice as many degrees of freedom as corners.
         `share`: its weight.
 
-        The Jacobian is replaced by its triangular factor R (J = QR), so that there are only as many
-        equations as unknowns that a sighting bears on.
+        The picture's equations are replaced by their triangular factor, so that there are only as
+        many as unknowns that it bears on.
         """
         robot = observation.robot
         moment = np.array([self.stamps_ns[robot]])
@@ -267,21 +250,12 @@ class Filter:
         name = observation.camera
         clock = self.state.cameras[name] if name in self.layout.time_offset else None
         batch = _batch(data, chain, observation, share, clock)
-        problem = Problem({observation.robot: chain}, (batch,), Priors.none(), self.layout)
-        jacobian, residual, columns = batch_jacobian(problem, batch, self.state)
-        where = np.concatenate([self.layout.last[observation.robot], columns])
-        jacobian = jacobian.reshape(1, -1, jacobian.shape[-1])
-        residual = residual.reshape(1, -1)
-        jitter = PictureJitter.of(batch, self.state)
-        if jitter is not None:
-            jacobian, residual = jitter.rows(jacobian, residual)
-        flat, residual = jacobian[0], residual[0]
-        basis, factor = np.linalg.qr(flat)
-        compressed = basis.T @ residual
+        problem = Problem({robot: chain}, (batch,), Priors.none(), self.layout)
+        factor, columns = picture_factor(problem, batch, self.state)
+        where = np.concatenate([self.layout.last[robot], columns])
         free = self.layout.last[robot] if self.holds_cameras else None
-        after, whitened = self.known.updated(where, factor, compressed, free=free)
-        left_over = residual @ residual - compressed @ compressed
-        return replace(self, source=after), float(left_over + whitened @ whitened)
+        after, whitened = self.known.updated(where, factor[:-1, :-1], factor[:-1, -1], free=free)
+        return replace(self, source=after), float(factor[-1, -1] ** 2 + whitened @ whitened)
 
 
 def is_placed(covariance: Array) -> bool:
@@ -297,11 +271,10 @@ def carried_on(
     """An estimate propagated to a later time by odometry."""
     if stamp_ns <= estimate.stamp_ns:
         return estimate
-    motion = data.tracks[robot].motion(np.array([estimate.stamp_ns, stamp_ns]), scales)
-    step = odometry_step(estimate.map_from_base, motion)
-    covariance = step.by_start @ estimate.covariance @ step.by_start.T
-    covariance += step.by_motion @ motion.covariance[0] @ step.by_motion.T
-    return RobotEstimate(stamp_ns, step.end, covariance)
+    pose, covariance = data.tracks[robot].carried_on(
+        estimate.stamp_ns, stamp_ns, scales, estimate.map_from_base, estimate.covariance
+    )
+    return RobotEstimate(stamp_ns, pose, covariance)
 
 
 def _batch(

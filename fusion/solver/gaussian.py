@@ -13,47 +13,67 @@ is made near when it is asked for; when there would be too many near ones, every
 once and becomes the new earlier Gaussian.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from numpy.linalg import LinAlgError
 
 from trigpoint.geometry.rotation import Array
+from trigpoint.native.library import In, Kernel, Out
 
 # The most near columns: with so many, updating them is still quicker than anything else in a step.
 # Where there is time, everything is evaluated at half of that.
 _MOST_NEAR = 64
+_REAL, _WHOLE = np.float64, np.int64
+_EXTENDED = Kernel(
+    "tp_near_extended",
+    *(In(_REAL, ("n",)), In(_REAL, ("n", "n")), In(_WHOLE, ("k",)), In(_REAL, ("t", "k"))),
+    *(In(_WHOLE, ("m",)), Out(_REAL, ("u", "l"))),
+)
+_MOVED = Kernel(
+    "tp_near_moved",
+    *(In(_REAL, ("t", "k")), In(_WHOLE, ("m",)), In(_WHOLE, ("q",)), In(_REAL, ("m", "q"))),
+    *(In(_REAL, ("m",)), In(_REAL, ("m", "m")), Out(_REAL, ("t", "k"))),
+)
+_UPDATED = Kernel(
+    "tp_near_updated",
+    *(In(_REAL, ("t", "k")), In(_WHOLE, ("m",)), In(_REAL, ("r", "m")), In(_REAL, ("r",))),
+    *(In(_WHOLE, ("f",)), Out(_REAL, ("t", "k")), Out(_REAL, ("r",))),
+)
 
 
 @dataclass(frozen=True, slots=True)
 class _Near:
-    """The near columns (k,) with their mean and covariance, and Φ (`carry`), Ψ (`weight`), θ
-    (`pull`) of the module's formulas."""
+    """The near columns (k,), and of the module's formulas P_nn, Φ, Ψ (k rows each), m_n and θ (one
+    each), one below the other: (3 k + 2, k)."""
 
     columns: np.ndarray
-    mean: Array
-    covariance: Array
-    carry: Array
-    weight: Array
-    pull: Array
+    table: Array
 
     @classmethod
     def none(cls) -> "_Near":
-        nothing, square = np.zeros(0), np.zeros((0, 0))
-        return cls(np.zeros(0, dtype=int), nothing, square, square, square, nothing)
+        return cls(np.zeros(0, dtype=np.int64), np.zeros((2, 0)))
 
-    def learning(self, free: np.ndarray, gain: Array, far: Array, whitened: Array) -> "_Near":
-        """After an update of the free columns alone; `gain` (k, r), `far` (k, r), `whitened` (r,):
-        as `Gaussian.updated` names them."""
-        own = np.where(np.isin(self.columns, free)[:, None], gain, 0.0)
-        across = own @ gain.T
-        return replace(
-            self,
-            mean=self.mean - own @ whitened,
-            covariance=self.covariance - across - across.T + own @ own.T,
-            carry=self.carry - own @ far.T,
-        )
+    @property
+    def covariance(self) -> Array:
+        return self.table[: len(self.columns)]
+
+    @property
+    def carry(self) -> Array:
+        return self.table[len(self.columns) : 2 * len(self.columns)]
+
+    @property
+    def weight(self) -> Array:
+        return self.table[2 * len(self.columns) : -2]
+
+    @property
+    def mean(self) -> Array:
+        return self.table[-2]
+
+    @property
+    def pull(self) -> Array:
+        return self.table[-1]
 
     def rows(self, columns: np.ndarray) -> np.ndarray:
         """The indices of columns (m,), all of them near, among the near ones."""
@@ -64,9 +84,10 @@ class _Near:
         return ~np.any(self.columns == columns[:, None], axis=1)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Gaussian:
-    """A Gaussian of n unknowns; immutable. `before`: earlier mean (n,) and covariance (n, n)."""
+    """A Gaussian of n unknowns; what it says never changes. `before`: earlier mean (n,) and
+    covariance (n, n)."""
 
     before: tuple[Array, Array]
     _near: _Near = field(default_factory=_Near.none)
@@ -74,7 +95,7 @@ class Gaussian:
     @classmethod
     def of(cls, mean: Array, covariance: Array) -> "Gaussian":
         """From its mean (n,) and covariance (n, n), which must not be modified any more."""
-        return cls((mean, covariance))
+        return cls((np.ascontiguousarray(mean), np.ascontiguousarray(covariance)))
 
     @cached_property
     def mean(self) -> Array:
@@ -106,12 +127,12 @@ class Gaussian:
 
     def mean_of(self, columns: np.ndarray) -> Array:
         """The mean of some columns (m,), (m,)."""
-        near = self._with_near(columns)
+        near = self._asked(columns)
         return near.mean[near.rows(columns)]
 
     def covariance_of(self, columns: np.ndarray) -> Array:
         """The marginal covariance of some columns (m,), (m, m)."""
-        near = self._with_near(columns)
+        near = self._asked(columns)
         rows = near.rows(columns)
         return near.covariance[np.ix_(rows, rows)]
 
@@ -133,15 +154,12 @@ class Gaussian:
         plus a shift (m,) and noise of covariance (m, m)."""
         ready = self._ready(np.unique(np.concatenate([columns, of])))
         near = ready._near
-        rows, source = near.rows(columns), near.rows(of)
-        mean, covariance, carry = near.mean.copy(), near.covariance.copy(), near.carry.copy()
-        mean[rows], carry[rows] = matrix @ mean[source] + shift, matrix @ carry[source]
-        across = matrix @ covariance[source]
-        own = across[:, source] @ matrix.T + noise
-        covariance[rows], covariance[:, rows] = across, across.T
-        covariance[np.ix_(rows, rows)] = own
-        moved = replace(near, mean=mean, covariance=covariance, carry=carry)
-        return Gaussian(ready.before, moved)
+        table = np.empty_like(near.table)
+        _MOVED(
+            *(near.table, near.rows(columns), near.rows(of)),
+            *(*map(np.ascontiguousarray, (matrix, shift, noise)), table),
+        )
+        return Gaussian(ready.before, _Near(near.columns, table))
 
     def updated(
         self,
@@ -154,9 +172,8 @@ class Gaussian:
         """The Gaussian after an update by residual (r,) + jacobian (r, m) · columns (m,) = noise of
         unit variance; also the whitened innovation (r,).
 
-        `residual`: where the unknowns are 0, not at the mean. With H the Jacobian by the near
-        columns, S = 1 + H P_nn Hᵀ = L Lᵀ and G = P_nn Hᵀ L⁻ᵀ the gain of the near ones, that of the
-        far ones is P⁰_fn W, W = Φᵀ Hᵀ L⁻ᵀ.
+        `residual`: where the unknowns are 0, not at the mean. Raises LinAlgError where the
+        innovation's covariance is not positive definite.
 
         `free`: the columns, some of those, that the update may change (None: all). The others keep
         mean and covariance and are only considered: their errors go on into what is learnt of the
@@ -165,54 +182,37 @@ class Gaussian:
         """
         ready = self._ready(columns)
         near = ready._near
-        rows = near.rows(columns)
-        spread = near.covariance[:, rows] @ jacobian.T
-        root = np.linalg.cholesky(np.eye(len(jacobian)) + jacobian @ spread[rows])
-        innovation = residual + jacobian @ near.mean[rows]
-        both = np.concatenate([spread, near.carry[rows].T @ jacobian.T, innovation[None]])
-        solved = solve_triangular(root, both.T, lower=True, check_finite=False).T
-        gain, far, whitened = np.split(solved, [len(spread), 2 * len(spread)])
-        if free is not None:
-            return Gaussian(ready.before, near.learning(free, gain, far, whitened[0])), whitened[0]
-        after = _Near(
-            near.columns,
-            near.mean - gain @ whitened[0],
-            near.covariance - gain @ gain.T,
-            near.carry - gain @ far.T,
-            near.weight + far @ far.T,
-            near.pull - far @ whitened[0],
+        table, whitened = np.empty_like(near.table), np.empty(len(residual))
+        is_sound = _UPDATED(
+            *(near.table, near.rows(columns), np.ascontiguousarray(jacobian)),
+            *(np.ascontiguousarray(residual), near.rows(columns[:0] if free is None else free)),
+            *(table, whitened),
         )
-        return Gaussian(ready.before, after), whitened[0]
+        if not is_sound:
+            raise LinAlgError("an innovation's covariance is not positive definite")
+        return Gaussian(ready.before, _Near(near.columns, table)), whitened
 
     def _ready(self, columns: np.ndarray) -> "Gaussian":
         """The same with these columns (m,) among the near ones."""
-        near = self._with_near(columns)
-        if near is self._near:
+        if self._asked(columns) is self._near:
             return self
-        if len(near.columns) > max(_MOST_NEAR, len(columns)):
-            return self.settled()._ready(columns)
-        return Gaussian(self.before, near)
+        return self.settled()._ready(columns)
+
+    def _asked(self, columns: np.ndarray) -> _Near:
+        """The near columns and these (m,); kept for the next to ask, where they are not too many:
+        which are near is no part of what a Gaussian says."""
+        near = self._with_near(columns)
+        if len(near.columns) <= max(_MOST_NEAR, len(columns)):
+            self._near = near
+        return near
 
     def _with_near(self, columns: np.ndarray) -> _Near:
         """The near columns extended by these (m,), each once."""
-        near, (mean, covariance) = self._near, self.before
+        near = self._near
         added = columns[near.lacks(columns)]
         if not len(added):
             return near
-        k, m = len(near.columns), len(added)
-        across = covariance[np.ix_(near.columns, added)]
-        weighted = near.weight @ across
-        larger, carry, weight = np.zeros((3, k + m, k + m))
-        larger[:k, :k], larger[:k, k:] = near.covariance, near.carry @ across
-        larger[k:, :k] = larger[:k, k:].T
-        larger[k:, k:] = covariance[np.ix_(added, added)] - across.T @ weighted
-        carry[:k, :k], carry[k:, :k], carry[k:, k:] = near.carry, -weighted.T, np.eye(m)
-        weight[:k, :k] = near.weight
-        return _Near(
-            np.concatenate([near.columns, added]),
-            np.concatenate([near.mean, mean[added] + across.T @ near.pull]),
-            larger,
-            carry,
-            weight,
-            np.concatenate([near.pull, np.zeros(m)]),
-        )
+        count = len(near.columns) + len(added)
+        table = np.empty((3 * count + 2, count))
+        _EXTENDED(*self.before, near.columns, near.table, added, table)
+        return _Near(np.concatenate([near.columns, added]), table)

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from trigpoint.fusion.model.dataset import DataSet
-from trigpoint.fusion.model.motion import odometry_step
 from trigpoint.fusion.model.odometry import PLANAR, SPATIAL
 from trigpoint.fusion.model.problem import Layout, Problem, State
 from trigpoint.geometry import Pose
@@ -55,11 +54,10 @@ def place_of(data: DataSet, known: Filter, robot: str) -> RobotPlace:
     still = np.eye(len(track.tangent))
     since = ExpectedMotion(still, np.zeros((len(still), 2)), 0.0 * still)
     if start_ns < track.last_ns:
-        motion = track.motion(np.array([start_ns, track.last_ns]), known.scales(robot))
-        step, free = odometry_step(pose, motion), np.ix_(track.tangent, track.tangent)
-        added = step.by_motion @ motion.covariance[0] @ step.by_motion.T
-        since = ExpectedMotion(step.by_start[free], step.by_scales[track.tangent], added[free])
-        pose = step.end
+        between = start_ns, track.last_ns, known.scales(robot)
+        end, _ = track.carried_on(*between, pose, np.zeros((6, 6)))
+        matrix, _, noise = track.step(*between, pose, end)
+        since, pose = ExpectedMotion(matrix[:, :-2], matrix[:, -2:], noise), end
     return RobotPlace(
         robot,
         track.last_ns,

@@ -1,7 +1,9 @@
 #include "fusion/corners.hpp"
 
 #include <Eigen/Cholesky>
+#include <Eigen/QR>
 #include <algorithm>
+#include <limits>
 #include <stdexcept>
 
 #include "border.hpp"
@@ -135,60 +137,119 @@ void PictureEquations::set(const Picture& picture, const double* variances, doub
         const Shared shared(by_seen_, known);
         const Eigen::Matrix<double, 6, Eigen::Dynamic> fit = shared.fit(rows_);
         rows_ -= by_seen_ * fit;
-        const Eigen::Matrix<double, 6, Eigen::Dynamic> own =
-            known.cwiseSqrt().cwiseInverse().asDiagonal() * fit;
+        own_ = known.cwiseSqrt().cwiseInverse().asDiagonal() * fit;
         square = rows_.transpose() * rows_;
-        square += own.transpose() * own;
+        square += own_.transpose() * own_;
         cost += square(columns, columns);
         log_determinant = shared.log_determinant();
     } else {
+        own_.setZero(6, columns + 1);
         square = rows_.transpose() * rows_;
     }
+}
+
+Eigen::MatrixXd PictureEquations::factor() const {
+    const Index columns = rows_.cols();
+    Eigen::MatrixXd whole =
+        Eigen::MatrixXd::Zero(std::max<Index>(rows_.rows() + own_.rows(), columns), columns);
+    whole.topRows(rows_.rows()) = rows_;
+    whole.middleRows(rows_.rows(), own_.rows()) = own_;
+    const Eigen::HouseholderQR<Eigen::Ref<Eigen::MatrixXd>> turned(whole);
+    return turned.matrixQR().topRows(columns).triangularView<Eigen::Upper>();
 }
 
 }  // namespace trigpoint
 
 using namespace trigpoint;
 
-// (lens (p,), the camera (1, 12), the nodes (n, 12), the robot as it was seen (n, 12),
-// base_from_face (f, 12), faces (n, k), points in them (n, k, 3), pixels (n, k, 2), weights (n, k),
-// twists (n or 0, 6), since the epoch (n,), tangent (d,), has a lens, has faces, residuals
-// (n, k, 2), Jacobian (n, k, 2 c), by the robot as it was seen (n, k, 12)): 0; arrays without
-// columns are not wanted. Without a Jacobian, nor need the tangent be.
+namespace {
+
+// Pictures as Python has them: the lens (p,), the camera (1, 12), the nodes (n, 12), the robot as
+// it was seen (n, 12), base_from_face (f, 12), faces (n, k), points in them (n, k, 3), pixels (n,
+// k, 2), weights (n, k), twists (n or 0, 6), since the epoch (n,), tangent (d,), has a lens, has
+// faces.
+class Pictures {
+public:
+    static constexpr int ARGUMENTS = 14;
+
+    explicit Pictures(const Argument* given)
+        : given_(given),
+          count(given[8].array.shape[0]),
+          corners(given[8].array.shape[1]),
+          tangent_(given[11].array.as<std::int64_t>(), given[11].array.shape[0]) {
+        const Index twists = given[9].array.shape[0];
+        if (twists > 0 && twists != count)
+            throw std::invalid_argument("not every picture has a twist");
+        for (Index f = 0; f < given[4].array.shape[0]; ++f)
+            faces_.push_back(pose_at(numbers(4) + 12 * f));
+    }
+    Picture at(Index n) const {
+        return {Lens(numbers(0), given_[0].array.shape[0]),
+                pose_at(numbers(1)),
+                pose_at(numbers(2) + 12 * n),
+                pose_at(numbers(3) + 12 * n),
+                given_[9].array.shape[0] > 0 ? numbers(9) + 6 * n : nullptr,
+                numbers(10)[n],
+                faces_,
+                tangent_,
+                given_[12].whole != 0,
+                given_[13].whole != 0,
+                corners,
+                given_[5].array.as<std::int64_t>() + corners * n,
+                numbers(6) + 3 * corners * n,
+                numbers(7) + 2 * corners * n,
+                numbers(8) + corners * n};
+    }
+
+private:
+    const double* numbers(int which) const { return given_[which].array.as<double>(); }
+    const Argument* given_;
+
+public:
+    const Index count, corners;
+
+private:
+    Tangent tangent_;
+    std::vector<Pose> faces_;
+};
+
+}  // namespace
+
+// (pictures, residuals (n, k, 2), Jacobian (n, k, 2 c), by the robot as it was seen (n, k, 12)): 0;
+// arrays without columns are not wanted. Without a Jacobian, nor need the tangent be.
 TRIGPOINT_KERNEL(tp_corner_terms) {
-    const auto& shape = arguments[8].array.shape;
-    const Array &jacobians = arguments[15].array, &by_seen = arguments[16].array;
-    const auto numbers = [&](int which) { return arguments[which].array.as<double>(); };
-    const Index count = shape[0], corners = shape[1], twists = arguments[9].array.shape[0];
-    std::vector<Pose> faces;
-    for (Index f = 0; f < arguments[4].array.shape[0]; ++f)
-        faces.push_back(pose_at(numbers(4) + 12 * f));
-    if (twists > 0 && twists != count) throw std::invalid_argument("not every picture has a twist");
-    const Tangent tangent(arguments[11].array.as<std::int64_t>(), arguments[11].array.shape[0]);
-    const Index rows = 2 * corners, columns = jacobians.shape[2] / 2, by_six = by_seen.shape[2];
+    const Pictures pictures(arguments);
+    const Argument* asked = arguments + Pictures::ARGUMENTS;
+    const auto numbers = [&](int which) { return asked[which].array.as<double>(); };
+    const Index rows = 2 * pictures.corners, columns = asked[1].array.shape[2] / 2,
+                by_six = asked[2].array.shape[2];
     if (by_six != 0 && by_six != 12) throw std::invalid_argument("a pose has six components");
-    for (Index n = 0; n < count; ++n) {
-        const Picture picture{Lens(numbers(0), arguments[0].array.shape[0]),
-                              pose_at(numbers(1)),
-                              pose_at(numbers(2) + 12 * n),
-                              pose_at(numbers(3) + 12 * n),
-                              twists > 0 ? numbers(9) + 6 * n : nullptr,
-                              numbers(10)[n],
-                              faces,
-                              tangent,
-                              arguments[12].whole != 0,
-                              arguments[13].whole != 0,
-                              corners,
-                              arguments[5].array.as<std::int64_t>() + corners * n,
-                              numbers(6) + 3 * corners * n,
-                              numbers(7) + 2 * corners * n,
-                              numbers(8) + corners * n};
+    for (Index n = 0; n < pictures.count; ++n) {
+        const Picture picture = pictures.at(n);
         if (columns != 0 && columns != picture.columns())
             throw std::invalid_argument("other columns are wanted");
         picture.terms(
-            picture.seen, Eigen::Map<Eigen::VectorXd>(numbers(14) + rows * n, rows),
-            Eigen::Map<RowMajor>(numbers(15) + rows * columns * n, columns > 0 ? rows : 0, columns),
-            Eigen::Map<ByPoses>(numbers(16) + 6 * rows * n, by_six > 0 ? rows : 0, 6));
+            picture.seen, Eigen::Map<Eigen::VectorXd>(numbers(0) + rows * n, rows),
+            Eigen::Map<RowMajor>(numbers(1) + rows * columns * n, columns > 0 ? rows : 0, columns),
+            Eigen::Map<ByPoses>(numbers(2) + 6 * rows * n, by_six > 0 ? rows : 0, 6));
     }
+    return 0;
+}
+
+// (pictures, n = 1, variances (0 or 6,) of the robot's deviation in it, factor (c + 1, c + 1)): 0;
+// `PictureEquations.factor`.
+TRIGPOINT_KERNEL(tp_corner_factor) {
+    const Pictures pictures(arguments);
+    const Argument* asked = arguments + Pictures::ARGUMENTS;
+    const Array& variances = asked[0].array;
+    if (pictures.count != 1 || (variances.shape[0] != 0 && variances.shape[0] != 6))
+        throw std::invalid_argument("one picture, whose deviation has six variances or none");
+    const Picture picture = pictures.at(0);
+    const Index columns = picture.columns() + 1;
+    if (asked[1].array.shape[0] != columns) throw std::invalid_argument("other columns are wanted");
+    PictureEquations equations;
+    equations.set(picture, variances.shape[0] ? variances.as<double>() : nullptr,
+                  std::numeric_limits<double>::infinity());
+    Eigen::Map<RowMajor>(asked[1].array.as<double>(), columns, columns) = equations.factor();
     return 0;
 }

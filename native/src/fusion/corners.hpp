@@ -43,8 +43,12 @@ struct PictureEquations {
     // `variances` (6,) of the deviation, null where there is none; corners beyond `huber` sigmas
     // have a linear cost.
     void set(const Picture& picture, const double* variances, double huber);
+    // The triangular factor (c, c) of the last picture's equations, of unit noise, in the unknowns
+    // and, last, the residual: its squares add up to `square`.
+    Eigen::MatrixXd factor() const;
 
 private:
+    Eigen::Matrix<double, 6, Eigen::Dynamic> own_;  // of the deviation's prior
     RowMajor rows_;
     ByPoses by_seen_;
     Eigen::VectorXd residual_, left_, root_;

@@ -298,3 +298,62 @@ TRIGPOINT_KERNEL(tp_motion) {
     }
     return 0;
 }
+
+namespace {
+
+// A motion as Python asks for one: a track, two moments, the noise's parts (7,), slip, skid, scales
+// (2,); returns it and the arguments that follow.
+Motion asked_motion(const Argument*& arguments) {
+    const Track track(arguments);
+    const Argument* asked = arguments + Track::ARGUMENTS;
+    arguments = asked + 6;
+    return {track, moment(asked[0].whole), moment(asked[1].whole),
+            Noise(asked[2].array.as<double>(), asked[3].number, asked[4].number),
+            asked[5].array.as<double>()};
+}
+
+}  // namespace
+
+// (a motion's arguments, a pose (1, 12) at its start and its covariance (6, 6), the pose at its end
+// (1, 12) and its covariance (6, 6)): 0. A rotation of the start swings the end about it.
+TRIGPOINT_KERNEL(tp_carried_on) {
+    const Argument* asked = arguments;
+    const Motion motion = asked_motion(asked);
+    const Pose start = pose_at(asked[0].array.as<double>()), end = start.times(motion.whole);
+    const Eigen::Map<const Square> before(asked[1].array.as<double>());
+    Matrix6d by_start = Matrix6d::Identity(), by_motion = Matrix6d::Zero();
+    by_start.topRightCorner<3, 3>() = -hat(end.translation - start.translation);
+    by_motion.topLeftCorner<3, 3>() = by_motion.bottomRightCorner<3, 3>() = start.rotation;
+    put_pose(end, asked[2].array.as<double>());
+    Eigen::Map<Square>(asked[3].array.as<double>()) =
+        by_start * before * by_start.transpose() +
+        by_motion * motion.covariance * by_motion.transpose();
+    return 0;
+}
+
+// (a motion's arguments, the pose (1, 12) at its start and that at its end, about which it is
+// linear, the free directions (d,), matrix (d, d + 2), shift (d,), noise (d, d)): 1, or 0 where a
+// covariance is not positive definite. The disturbance of the end is the matrix times that of the
+// start and the scales' change, plus the shift and noise of that covariance: with the whitened
+// residual e + J₀ δ₀ + J₁ δ₁ + Jₛ δₛ it is -J₁⁻¹ (e + J₀ δ₀ + Jₛ δₛ), of covariance J₁⁻¹ J₁⁻ᵀ.
+TRIGPOINT_KERNEL(tp_odometry_step) {
+    const Argument* asked = arguments;
+    const Motion motion = asked_motion(asked);
+    const Tangent tangent(asked[2].array.as<std::int64_t>(), asked[2].array.shape[0]);
+    const Index d = tangent.count;
+    if (asked[3].array.shape[1] != d + 2) throw std::invalid_argument("a step has two scales");
+    try {
+        const OdometryTerm term(pose_at(asked[0].array.as<double>()),
+                                pose_at(asked[1].array.as<double>()), motion.whole, motion.by_scale,
+                                tangent, whitening(motion.covariance.data(), tangent));
+        const AtMost6 inverse = term.by.middleCols(d, d).inverse();
+        Eigen::Map<RowMajor> matrix(asked[3].array.as<double>(), d, d + 2);
+        matrix.leftCols(d) = -inverse * term.by.leftCols(d);
+        matrix.rightCols(2) = -inverse * term.by.rightCols(2);
+        Eigen::Map<Eigen::VectorXd>(asked[4].array.as<double>(), d) = -inverse * term.residual;
+        Eigen::Map<RowMajor>(asked[5].array.as<double>(), d, d) = inverse * inverse.transpose();
+    } catch (const Undetermined&) {
+        return 0;
+    }
+    return 1;
+}

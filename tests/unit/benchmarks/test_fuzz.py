@@ -24,7 +24,7 @@ def test_no_drawn_input_harms_the_core(tmp_path: Path) -> None:
 def test_an_input_that_ends_the_program_is_written_down(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    work = Work("libc.so.6", (Kernel("abort", int),), 1, range(2), tmp_path / "progress")
+    work = Work(str(LIBRARY), (Kernel("abort", int),), 1, range(2), tmp_path / "progress")
     found = fuzzed(work, (), tmp_path, float("inf"))
     assert (found.inputs, found.bad) == (2, 2)
     [file] = tmp_path.glob("*.pickle")  # both are one fault
