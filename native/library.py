@@ -18,7 +18,7 @@ from weakref import finalize
 import numpy as np
 
 LIBRARY = Path(__file__).with_name("libtrigpoint_core.so")
-_ERROR_BYTES = 256
+_ERROR = ctypes.c_char * 256  # as ERROR_BYTES of `border.hpp`
 _NO_MEMORY = -2
 # As `trigpoint::Argument` of `border.hpp` and `Parameter` of `packing.cpp`.
 _ARGUMENT_BYTES = 32
@@ -64,6 +64,7 @@ class Kernel:
         ]
         letters: dict[str, int] = {}
         self._layout = b"".join(_packed(parameter, letters) for parameter in parameters)
+        self._arguments = ctypes.c_char * (_ARGUMENT_BYTES * len(parameters))
         assert len(letters) <= _MOST_LETTERS, name
 
     def __call__(self, *values: object) -> int:
@@ -75,12 +76,11 @@ class Kernel:
         if len(values) != len(self.parameters):
             raise TypeError(f"{self.name} takes {len(self.parameters)} arguments")
         given = self._with_addresses(values) if self._handles else values
-        arguments = ctypes.create_string_buffer(_ARGUMENT_BYTES * len(values))
+        arguments, error = self._arguments(), _ERROR()
         pack, python = _packing()
         fault = pack(given, self._layout, len(values), python, arguments)
         if fault:
             raise self._refusal(values, *divmod(fault, 8))
-        error = ctypes.create_string_buffer(_ERROR_BYTES)
         count = _function(self.name)(arguments, error)
         if count >= 0:
             return count
@@ -137,7 +137,7 @@ class Handle:
     def __init__(self) -> None:
         made = ctypes.c_void_p()
         new = _function(f"{self.name}_new")
-        if new(ctypes.byref(made), ctypes.create_string_buffer(_ERROR_BYTES)):
+        if new(ctypes.byref(made), _ERROR()):
             raise MemoryError(f"{self.name}: no memory is left")
         self.address = made.value
         finalize(self, _function(f"{self.name}_free"), made, None)

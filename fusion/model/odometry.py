@@ -180,7 +180,7 @@ class OdometryTrack:
         return not (self._jumps[row] or self._gaps[row]) and self._is_without_motion(row)
 
     def _is_without_motion(self, row: int) -> bool:
-        return bool(np.abs(self._twists[row]).max() < STILL)
+        return all(-STILL < part < STILL for part in self._twists[row].tolist())
 
     def _add_twist(self, row: int) -> Added:
         before = Pose(self._rotations[row - 1], self._translations[row - 1])

@@ -31,6 +31,8 @@ def hat(vector: ArrayLike) -> Array:
 def exp(rotation_vector: ArrayLike) -> Array:
     """Rotation matrix of a rotation vector, radians; (…, 3) -> (…, 3, 3) (Rodrigues)."""
     v = np.asarray(rotation_vector, dtype=float)
+    if v.ndim == 1:
+        return _one_rotation(*v.tolist())
     squared = np.sum(v * v, axis=-1)[..., None, None]
     small = squared < _SMALL_SQUARED
     angle = np.sqrt(np.where(small, 1.0, squared))
@@ -38,6 +40,28 @@ def exp(rotation_vector: ArrayLike) -> Array:
     versine = np.where(small, 0.5 - squared / 24, (1 - np.cos(angle)) / angle**2)
     cross = hat(v)
     return np.eye(3) + sine * cross + versine * (cross @ cross)
+
+
+def _one_rotation(x: float, y: float, z: float) -> Array:
+    """`exp` of a single vector, which every estimate needs: a tenth of the time."""
+    squared = x * x + y * y + z * z
+    if squared < _SMALL_SQUARED:
+        sine, versine = 1 - squared / 6, 0.5 - squared / 24
+    elif not math.isfinite(squared):
+        return np.full((3, 3), np.nan)
+    else:
+        angle = math.sqrt(squared)
+        sine, versine = math.sin(angle) / angle, (1 - math.cos(angle)) / squared
+    xx, yy, zz = versine * x * x, versine * y * y, versine * z * z
+    xy, xz, yz = versine * x * y, versine * x * z, versine * y * z
+    x, y, z = sine * x, sine * y, sine * z
+    return np.array(
+        (
+            (1 - yy - zz, xy - z, xz + y),
+            (xy + z, 1 - xx - zz, yz - x),
+            (xz - y, yz + x, 1 - xx - yy),
+        )
+    )
 
 
 def log(matrix: ArrayLike) -> Array:

@@ -61,7 +61,7 @@ def slow_equations(problem: Problem, state: State, *, huber: float = np.inf) -> 
     slow = Slow(np.zeros((size, size)), np.zeros(size))
     for batch in problem.batches:
         for picture in range(len(batch.nodes)):
-            _add_picture(slow, problem, _one(batch, picture), state, huber)
+            _add_picture(slow, problem, picture_of(batch, picture), state, huber)
     for name, chain in problem.chains.items():
         _add_odometry(slow, problem, name, state.robots[name])
         if chain.is_anchored:
@@ -74,7 +74,7 @@ def slow_equations(problem: Problem, state: State, *, huber: float = np.inf) -> 
     return slow
 
 
-def _one(batch: Batch, picture: int) -> Batch:
+def picture_of(batch: Batch, picture: int) -> Batch:
     """A batch of one of its pictures."""
     row = slice(picture, picture + 1)
     carried = batch.carried
@@ -96,7 +96,7 @@ def _add_picture(slow: Slow, problem: Problem, batch: Batch, state: State, huber
     jacobian, left = jacobian[0], residual[0]
     jitter = PictureJitter.of(batch, state)
     if jitter is not None:
-        residual = _about_best_fit(batch, state, jitter)
+        residual = about_best_fit(batch, state, jitter)
         left = jitter.compensated(residual.reshape(1, -1)).reshape(-1, 2)
     length = np.linalg.norm(left, axis=-1)
     weight = np.minimum(1.0, huber / np.maximum(length, 1e-12))
@@ -116,7 +116,7 @@ def _add_picture(slow: Slow, problem: Problem, batch: Batch, state: State, huber
     slow.add(np.concatenate([nodes, dense_row(problem) + columns]), rows, residual)
 
 
-def _about_best_fit(batch: Batch, state: State, jitter: PictureJitter) -> Array:
+def about_best_fit(batch: Batch, state: State, jitter: PictureJitter) -> Array:
     """The residual (2K,) of one picture, linearised about the deviation that fits best."""
     by_seen, residual = jitter.jacobian[0], batch_residual(batch, state).reshape(-1)
     fit = -np.linalg.solve(jitter.information[0], by_seen.T @ residual)

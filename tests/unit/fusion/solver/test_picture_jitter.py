@@ -4,10 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.fusion.slow_problem import about_best_fit, picture_of
 from support.fusion.small_problems import small_problem
 
 from trigpoint.fusion.model.jitter import Jitter
-from trigpoint.fusion.model.prediction import base_jacobian, batch_jacobian, batch_residual
+from trigpoint.fusion.model.prediction import (
+    base_jacobian,
+    batch_jacobian,
+    batch_residual,
+    picture_factor,
+)
 from trigpoint.fusion.model.problem import Batch, Problem, State
 from trigpoint.fusion.solver.levenberg_marquardt import linearise
 from trigpoint.fusion.solver.picture_jitter import PictureJitter
@@ -58,6 +64,24 @@ def test_a_picture_weighs_with_the_inverse_of_its_joint_covariance() -> None:
     np.testing.assert_allclose(
         np.sum(left**2, axis=1), (np.swapaxes(pull, 1, 2) @ weight @ pull)[:, 0, 0], rtol=1e-9
     )
+
+
+@pytest.mark.parametrize("is_shared", [False, True])
+def test_the_factor_of_a_picture_has_the_squares_of_its_equations(is_shared: bool) -> None:
+    problem, batch, state = shaken()
+    one = picture_of(batch, 0)
+    jitter = PictureJitter.of(one, state)
+    jacobian, residual, columns = batch_jacobian(problem, one, state)
+    rows, left = jacobian.reshape(1, -1, jacobian.shape[-1]), residual.reshape(1, -1)
+    if is_shared and jitter is not None:
+        rows, left = jitter.rows(rows, about_best_fit(one, state, jitter)[None])
+    else:
+        one = replace(one, jitter=None)
+    factor, dense = picture_factor(problem, one, state)
+    whole = np.concatenate([rows[0], left[0][:, None]], axis=1)
+    np.testing.assert_array_equal(dense, columns)
+    np.testing.assert_allclose(np.tril(factor, -1), 0.0, atol=1e-9)
+    np.testing.assert_allclose(factor.T @ factor, whole.T @ whole, rtol=1e-9, atol=1e-6)
 
 
 def test_what_a_disturbance_makes_is_taken_out_and_nothing_else() -> None:
