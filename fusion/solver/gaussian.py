@@ -17,7 +17,6 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from trigpoint.geometry.rotation import Array
 
@@ -170,7 +169,7 @@ class Gaussian:
         root = np.linalg.cholesky(np.eye(len(jacobian)) + jacobian @ spread[rows])
         innovation = residual + jacobian @ near.mean[rows]
         both = np.concatenate([spread, near.carry[rows].T @ jacobian.T, innovation[None]])
-        solved = solve_triangular(root, both.T, lower=True, check_finite=False).T
+        solved = np.linalg.solve(root, both.T).T
         gain, far, whitened = np.split(solved, [len(spread), 2 * len(spread)])
         if free is not None:
             return Gaussian(ready.before, near.learning(free, gain, far, whitened[0])), whitened[0]

@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from numpy.linalg import LinAlgError
 from support.fusion.slow_problem import node_rows, slow_equations, slow_minimum
 from support.fusion.small_problems import (
     first_state,
@@ -326,3 +327,17 @@ def test_picture_of_a_node_that_is_none_is_refused(assembled: Assembled) -> None
     beyond = replace(batch, nodes=batch.nodes + len(assembled.problem.chains[batch.robot]))
     with pytest.raises(RuntimeError, match="do not fit together"):
         linearise(replace(assembled.problem, batches=(beyond,)), assembled.start)
+
+
+@pytest.mark.parametrize("spoilt", [-1.0, 0.0, np.nan, np.inf])
+@pytest.mark.parametrize("cell", [(2, 2), (3, 2)])
+def test_information_that_determines_nothing_has_no_covariance(
+    spoilt: float, cell: tuple[int, int]
+) -> None:
+    information = np.full((4, 4), 1.0) + np.eye(4)
+    assert covariance_of(information) @ information == pytest.approx(np.eye(4), abs=1e-12)
+    information[cell] = information[cell[::-1]] = spoilt
+    if cell == (3, 2) and np.isfinite(spoilt):
+        information[2, 2] = information[3, 3] = 0.5 * abs(spoilt)
+    with pytest.raises(LinAlgError):
+        covariance_of(information)
