@@ -27,3 +27,4 @@ def test_a_tail_is_known_however_small_it_is(chi2: float) -> None:
 def test_nothing_is_below_zero_and_nothing_beyond_all() -> None:
     assert chi2_tail(3, 0.0) == chi2_tail(2, -1.0) == 1.0
     assert chi2_tail(3, math.inf) == 0.0
+    assert chi2_tail(0, 0.0) == 1.0  # of nothing that was measured
