@@ -195,7 +195,6 @@ EXTRAS: dict[str, tuple[str, ...]] = {
     "reportlab": ("tools",),
     "rerun": ("recorder",),
     "rerun_cli": ("recorder",),
-    "scipy": ("fusion",),
     "serial": ("robot",),
     "starlette": ("board",),
     "uvicorn": ("board",),

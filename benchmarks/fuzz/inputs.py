@@ -43,6 +43,7 @@ SOUND: dict[str, Callable[[Scene], Mapping[int, np.ndarray | float]]] = {
     "tp_scatter": lambda scene: {1: scene.places, 2: scene.pixels},
     "tp_misfit": lambda scene: {2: np.sign(np.arange(len(scene.places)))},
     "tp_likeliest_wrong": lambda scene: {2: np.sign(np.arange(len(scene.places)))},
+    "tp_paths": lambda scene: {0: np.ascontiguousarray(scene.places[:, ::-1], np.int64), 1: 0},
     "tp_sound_corners": lambda scene: {0: scene.places, 1: scene.pixels, 4: 0.7, 6: -1.0},
 }  # fmt: skip
 # All arguments but the object, where nothing of them may be drawn by itself.
@@ -183,6 +184,8 @@ class Draw:
             return int(self._one_of((0, 12)))
         if axis == "q" and is_sound:  # unknowns, of which `c` are the derivatives; or any
             return known["c"] // 2 if "c" in known else int(self._one_of((6, 8, 17)))
+        if axis == "a" and is_sound:  # of a floor or a room
+            return int(self._one_of((2, 3)))
         if axis == "d" and is_sound:  # of a robot's pose
             return int(self._one_of((3, 6)))
         if axis == "f" and is_sound:  # faces

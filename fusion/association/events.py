@@ -10,8 +10,8 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.special import chdtri
 
+from trigpoint.geometry.chi_square import chi2_limit
 from trigpoint.geometry.rotation import Array
 from trigpoint.site.config import PriorConfig
 
@@ -61,7 +61,7 @@ class Events:
     def sighting_gate(self) -> float:
         """The χ² of a pose (six degrees of freedom) that a good sighting exceeds with probability
         `EVIDENCE`."""
-        return float(chdtri(6, EVIDENCE))
+        return chi2_limit(6, EVIDENCE)
 
     @property
     def wrong_limit(self) -> float:

@@ -4,7 +4,7 @@ visit's pictures and the odometry between them allow."""
 from typing import TypeVar
 
 import numpy as np
-from scipy.linalg import LinAlgError
+from numpy.linalg import LinAlgError
 
 from trigpoint.fusion.model.assembly import Assembled
 from trigpoint.fusion.model.dataset import DataSet

@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from scipy.special import chdtri
 
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.odometry import PLANAR, SPATIAL
 from trigpoint.geometry import Pose
+from trigpoint.geometry.chi_square import chi2_limit
 from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.uncertainty import lever, relative_jacobians, turned_axes
 
@@ -161,7 +161,7 @@ def visual_step(
     ends = pictures[0], pictures[-1]
     seen = _moved(path, found, *ends)
     error, noise = _beside_odometry(path, seen, ends)
-    if error @ np.linalg.solve(noise, error) > chdtri(len(error), EVIDENCE):
+    if error @ np.linalg.solve(noise, error) > chi2_limit(len(error), EVIDENCE):
         return None
     one = _visual_step(path, step, number, ends, seen)
     return one if one.log_covariance < path.log_covariance[step] else None

@@ -10,11 +10,11 @@ from dataclasses import replace
 
 import msgspec
 import numpy as np
-from scipy.special import chdtri
 
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.model.odometry import PARTS, OdometryTrack
+from trigpoint.geometry.chi_square import chi2_limit
 from trigpoint.geometry.rotation import Array
 from trigpoint.site.config import OdometryNoise
 
@@ -111,7 +111,7 @@ def _clear(found: VisitModes) -> tuple[Array, Array] | None:
     mean, covariance = told[0]
     apart = np.array([other for other, _ in told]) - mean
     distances = np.einsum("ni,ij,nj->n", apart, np.linalg.inv(covariance), apart)
-    return (mean, covariance) if np.all(distances < chdtri(2, EVIDENCE)) else None
+    return (mean, covariance) if np.all(distances < chi2_limit(2, EVIDENCE)) else None
 
 
 def with_scales(data: DataSet, robot: str, scales: Array, sigmas: Array) -> DataSet:

@@ -18,9 +18,9 @@ import math
 from dataclasses import astuple, dataclass, fields, replace
 
 import numpy as np
-from scipy.optimize import minimize
-from scipy.special import chdtri
 
+from trigpoint.fusion.solver.quasi_newton import least
+from trigpoint.geometry.chi_square import chi2_limit
 from trigpoint.geometry.rotation import Array
 
 from .budget import Budget
@@ -139,10 +139,10 @@ def _learnt(visits: list[Linear], budget: Budget, *, planar: bool) -> Noise | No
         one = min(
             (_likeliest(visits, budget, STATED, free) for free in (_JITTER, _ODOMETRY)), key=_cost
         )
-        if stated[1] - one[1] < chdtri(4, _SIGNIFICANCE):
+        if stated[1] - one[1] < chi2_limit(4, _SIGNIFICANCE):
             return None
         both = _likeliest(visits, budget, STATED, (*_JITTER, *_ODOMETRY))
-        found = both if one[1] - both[1] > chdtri(2, _SIGNIFICANCE) else one
+        found = both if one[1] - both[1] > chi2_limit(2, _SIGNIFICANCE) else one
         return Noise(*map(in_steps, astuple(found[0])))
     # How the robot tilts and rises shows without odometry, which is left free here so that what its
     # model lacks is not taken for a sway of the target.
@@ -151,12 +151,12 @@ def _learnt(visits: list[Linear], budget: Budget, *, planar: bool) -> Noise | No
         (_likeliest(visits, budget, loose, free) for free in (_JITTER, _FLOOR)), key=_cost
     )
     steady = _likeliest(visits, budget, loose)
-    if steady[1] - jittery[1] < chdtri(2, _SIGNIFICANCE):
+    if steady[1] - jittery[1] < chi2_limit(2, _SIGNIFICANCE):
         jittery = steady
     start = replace(jittery[0], odometry=1.0, slip=1.0)
     stated = _likeliest(visits, budget, start)
     other = _likeliest(visits, budget, start, _ODOMETRY)
-    found = other[0] if stated[1] - other[1] > chdtri(2, _SIGNIFICANCE) else start
+    found = other[0] if stated[1] - other[1] > chi2_limit(2, _SIGNIFICANCE) else start
     return Noise(*map(in_steps, astuple(found)))
 
 
@@ -189,10 +189,9 @@ def _likeliest(
     start = np.array([part.start for part in parts])
     if not free:
         return base, cost(start)[0]
-    options = {"ftol": _FLAT, "maxiter": _MOST_STEPS}
-    bounds = [part.bounds for part in parts]
-    found = minimize(cost, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
-    return noise_of(found.x), float(found.fun)
+    bounds = np.array([part.bounds for part in parts])
+    found, value = least(cost, start, bounds=bounds, flat=_FLAT, most_steps=_MOST_STEPS)
+    return noise_of(found), value
 
 
 def _misfit(visits: list[Linear], noise: Noise, budget: Budget) -> tuple[float, Array]:

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from scipy.special import erf
 
 from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.uncertainty import lever, symmetric
@@ -210,17 +209,16 @@ def _factors() -> tuple[Array, Array]:
     """The radius in units of the longer axis's sigma, by the ratio of the two sigmas: 1.960 on a
     line to 2.448 in a circle.
 
-    P(|x| ≤ R) = ∫ φ(s) erf(√(R² - s²) / (q√2)) ds over |s| ≤ R, with s = R sin θ; by bisection.
+    With (x, y) = r (cos φ, q sin φ), φ is uniform and r²/2 exponentially distributed, so that
+    P(√(x² + y²) > R) is the mean of exp(-R²/2 / (cos²φ + q² sin²φ)) over a quarter of a turn
+    (Craig, 1991, for q = 0); by bisection.
     """
     ratios = np.linspace(0.0, 1.0, 201)
-    angles, weights = np.polynomial.legendre.leggauss(400)
-    angles, weights = 0.5 * np.pi * angles, 0.5 * np.pi * weights
+    angles = (np.arange(100) + 0.5) * np.pi / 200
+    half = 0.5 / (np.cos(angles) ** 2 + (ratios[:, None] * np.sin(angles)) ** 2)
     low, high = np.full(len(ratios), 1.9), np.full(len(ratios), 2.5)
-    beside = np.sqrt(2) * np.maximum(ratios, 1e-9)[:, None]
     for _ in range(40):
-        reach = (0.5 * (low + high))[:, None]
-        density = np.exp(-0.5 * (reach * np.sin(angles)) ** 2) / np.sqrt(2 * np.pi)
-        inside = density * erf(reach * np.cos(angles) / beside) * reach * np.cos(angles)
-        is_less = inside @ weights < SHARE
-        low, high = np.where(is_less, reach[:, 0], low), np.where(is_less, high, reach[:, 0])
+        reach = 0.5 * (low + high)
+        is_less = np.exp(-half * reach[:, None] ** 2).mean(axis=1) > 1 - SHARE
+        low, high = np.where(is_less, reach, low), np.where(is_less, high, reach)
     return ratios, 0.5 * (low + high)

@@ -5,8 +5,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import KDTree
 
+from trigpoint.fusion.model.places import are_near
 from trigpoint.geometry.rotation import Array
 
 from .boards import Carried
@@ -54,10 +54,7 @@ class Floor:
 
     def near(self, places: Array, within_m: float) -> np.ndarray:
         """Which cells' middles are within so much of places (n, 2); (cells,) bool."""
-        if not len(places):
-            return np.zeros(self.rows * self.columns, dtype=bool)
-        distance, _ = KDTree(places).query(self.centres, distance_upper_bound=within_m)
-        return np.isfinite(distance)
+        return are_near(self.centres, places, within_m)
 
 
 def floor_of(

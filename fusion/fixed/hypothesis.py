@@ -4,18 +4,19 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.linalg import LinAlgError
+from numpy.linalg import LinAlgError
 
 from trigpoint.fusion.association.events import Events
 from trigpoint.fusion.estimators.robot_alignment import camera_sigma_px
 from trigpoint.fusion.estimators.smoother.current_filter import EXCESS, CurrentFilter
 from trigpoint.fusion.model.dataset import DataSet, Entry
-from trigpoint.fusion.model.gates import chi2_gate, is_noise
+from trigpoint.fusion.model.gates import is_noise
 from trigpoint.fusion.model.observations import Observation, Verdict
 from trigpoint.fusion.model.problem import CameraState
 from trigpoint.fusion.reading.alignment import PosePrior, align, placements
 from trigpoint.fusion.solver.filter import Filter, RobotEstimate
 from trigpoint.geometry import Pose
+from trigpoint.geometry.chi_square import chi2_limit
 from trigpoint.geometry.rotation import Array
 
 # Two hypotheses whose poses differ by more are two places: as often as good sightings are gated.
@@ -139,7 +140,7 @@ class Hypothesis:
         apart = mine.map_from_base.difference(theirs.map_from_base)[tangent]
         covariance = (mine.covariance + theirs.covariance)[np.ix_(tangent, tangent)]
         chi2 = float(apart @ np.linalg.solve(covariance, apart))
-        return chi2 < chi2_gate(len(tangent), _ELSEWHERE)
+        return chi2 < chi2_limit(len(tangent), _ELSEWHERE)
 
 
 def accounts_after(parent: Hypothesis, camera: str) -> list[Account]:

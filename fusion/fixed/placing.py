@@ -11,7 +11,7 @@ from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import LinAlgError
+from numpy.linalg import LinAlgError
 
 from trigpoint.fusion.association.events import window
 from trigpoint.fusion.model.dataset import DataSet, Entry

@@ -7,10 +7,8 @@ their neighbours. A robot that does not move in a plane is only sent where one o
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import dijkstra
-from scipy.spatial import KDTree
 
+from trigpoint.fusion.model.places import are_near, path_lengths
 from trigpoint.fusion.model.thinning import thinned
 from trigpoint.fusion.solver.snapshot import GuidanceWorld, RobotPlace
 from trigpoint.geometry import Pose
@@ -29,31 +27,33 @@ _DETOUR = 1.5  # a goal that no known way leads to
 
 @dataclass(frozen=True, slots=True)
 class Ground:
-    """`places`: (n, 2) middles of the squares; `steps`: (n, n) sparse, metres from one to the next;
-    `poses`: all that were driven, (m)."""
+    """`squares`: (n, 2) int, their middles in units of a side; `poses`: all that were driven,
+    (m)."""
 
-    places: Array
-    steps: coo_array
+    squares: np.ndarray
     poses: Pose
 
     @classmethod
     def of(cls, world: GuidanceWorld) -> "Ground":
         driven = np.concatenate([np.zeros((0, 2)), *(_dense(w) for w in world.ways.values())])
-        places = _squares(driven)
         poses = Pose(
             np.concatenate([np.zeros((0, 3, 3)), *(w.rotation for w in world.ways.values())]),
             np.concatenate([np.zeros((0, 3)), *(w.translation for w in world.ways.values())]),
         )
-        return cls(places, _steps(places), poses)
+        return cls(_squares(driven), poses)
+
+    @property
+    def places(self) -> Array:
+        """The middles of the squares, (n, 2)."""
+        return self.squares * CELL_M
 
     def paths_from(self, here: Pose) -> Array:
         """The length of the way to each square, (n,), metres."""
         start = here.translation[:2]
         straight = np.linalg.norm(self.places - start, axis=1)
-        if not len(self.places):
+        if not len(straight):
             return straight
-        nearest = int(np.argmin(straight))
-        paths = np.asarray(dijkstra(self.steps, directed=False, indices=nearest))
+        paths = CELL_M * path_lengths(self.squares, int(np.argmin(straight)))
         return np.where(np.isfinite(paths), np.maximum(paths, straight), _DETOUR * straight)
 
 
@@ -72,13 +72,13 @@ def nearest_cameras(
     world: GuidanceWorld, ground: Ground, paths: Array, *, without: str, most: int
 ) -> list[str]:
     """The cameras that have seen a target, nearest to the robot first."""
-    if not len(ground.places):
+    places, found = ground.places, []
+    if not len(places):
         return []
-    tree = KDTree(ground.places)
-    found = []
     for name, views in world.views.items():
         if name != without and len(views.places):
-            _, squares = tree.query(views.places[thinned(len(views.places), 16), :2])
+            some = views.places[thinned(len(views.places), 16), :2]
+            squares = np.argmin(np.linalg.norm(some[:, None] - places, axis=2), axis=1)
             found.append((float(paths[squares].min()), name))
     return [name for _, name in sorted(found)[:most]]
 
@@ -98,10 +98,7 @@ def candidates(
 
 def _near(places: Array, seen: Array) -> np.ndarray:
     """Indices of squares near where a camera saw a target, spread evenly over them."""
-    if not len(places) or not len(seen):
-        return np.zeros(0, dtype=int)
-    distance, _ = KDTree(seen).query(places)
-    near = np.flatnonzero(distance <= SEEN_M)
+    near = np.flatnonzero(are_near(places, seen, SEEN_M))
     return near[thinned(len(near), _MOST_PLACES)]
 
 
@@ -125,23 +122,11 @@ def _dense(way: Pose) -> Array:
     return np.concatenate([between, places[-1:]])
 
 
-def _squares(driven: Array) -> Array:
-    """Centres of all squares within reach of driven places."""
-    if not len(driven):
-        return np.zeros((0, 2))
+def _squares(driven: Array) -> np.ndarray:
+    """All squares (n, 2) whose middles are within reach of driven places (m, 2), in lexical
+    order."""
     reach = int(np.ceil(DRIVEN_M / CELL_M))
     around = np.stack(np.meshgrid(*[np.arange(-reach, reach + 1)] * 2), axis=-1).reshape(-1, 2)
     own = np.unique(np.round(driven / CELL_M).astype(int), axis=0)
-    near = np.unique((own[:, None] + around).reshape(-1, 2), axis=0) * CELL_M
-    distance, _ = KDTree(driven).query(near)
-    return near[distance <= DRIVEN_M]
-
-
-def _steps(places: Array) -> coo_array:
-    """The graph of neighbouring squares, diagonal ones included."""
-    n = len(places)
-    if n < 2:
-        return coo_array((n, n))
-    pairs = KDTree(places).query_pairs(1.5 * CELL_M, output_type="ndarray")
-    lengths = np.linalg.norm(places[pairs[:, 0]] - places[pairs[:, 1]], axis=1)
-    return coo_array((lengths, (pairs[:, 0], pairs[:, 1])), shape=(n, n))
+    squares = np.unique((own[:, None] + around).reshape(-1, 2), axis=0)
+    return squares[are_near(squares * CELL_M, driven, DRIVEN_M)]

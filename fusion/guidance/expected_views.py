@@ -4,9 +4,9 @@ from collections import defaultdict
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from trigpoint.fusion.model.odometry import OdometryTrack
+from trigpoint.fusion.model.places import are_near
 from trigpoint.fusion.model.prediction import batch_jacobian
 from trigpoint.fusion.model.problem import (
     Batch,
@@ -120,10 +120,7 @@ def faces_seen(
     views = world.views[camera].places
     faces = place.target.faces
     found = FacesSeen(*(np.zeros((len(poses), len(faces)), dtype=bool) for _ in range(2)))
-    if not len(views):
-        return found
-    distance, _ = KDTree(views).query(poses.translation)
-    rows = np.flatnonzero(distance <= SEEN_M)
+    rows = np.flatnonzero(are_near(poses.translation, views, SEEN_M))
     base_from_face = world.state.robots[place.robot].base_from_face
     for index, face in enumerate(faces):
         if len(rows):

@@ -17,7 +17,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import LinAlgError
+from numpy.linalg import LinAlgError
 
 from trigpoint.fusion.model.problem import Layout
 from trigpoint.fusion.solver.equations import covariance_of

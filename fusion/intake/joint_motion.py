@@ -9,7 +9,7 @@ cameras saw of the robot at the time, and the χ² that it adds is the evidence 
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import LinAlgError
+from numpy.linalg import LinAlgError
 
 from trigpoint.base.clock import to_ns
 from trigpoint.fusion.model.assembly import assemble

@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from scipy.linalg import LinAlgError
+from numpy.linalg import LinAlgError
 
 from trigpoint.base.clock import to_ns
 from trigpoint.base.errors import OperationError

@@ -5,7 +5,7 @@ Pure: it runs in a process of its own (`solver_process`) or in place.
 
 from collections.abc import Iterator
 
-from scipy.linalg import LinAlgError
+from numpy.linalg import LinAlgError
 
 from trigpoint.fusion.estimators.results import map_id_of, results_of
 from trigpoint.fusion.estimators.smoother.settled_past import LIVE, Limits

@@ -5,7 +5,7 @@ To change what is rejected, or how certain a choice must be, change a probabilit
 
 import math
 
-from scipy.special import chdtri
+from trigpoint.geometry.chi_square import chi2_limit
 
 # Of two explanations (readings, poses, robots) one is chosen only where the likelihood of the
 # other, relative to it, is below this.
@@ -17,11 +17,6 @@ _WRONG_SIGHTING = 1e-5
 # How often a corner of a standing robot lies farther than the gate from where another picture has
 # it; the median of a view's corners never does.
 _SAME_CORNER = 1 / 100
-
-
-def chi2_gate(freedom: int, probability: float) -> float:
-    """The χ² that noise of so many degrees of freedom exceeds with this probability."""
-    return float(chdtri(freedom, probability))
 
 
 def length_gate(probability: float) -> float:
@@ -43,4 +38,4 @@ SAME_CORNER_SIGMAS = math.sqrt(2) * length_gate(_SAME_CORNER)
 def is_noise(chi2: float, freedom: int, *, excess: float = 1.0) -> bool:
     """Whether a sighting's normalised innovation squared passes the χ² gate, for a variance of up
     to `excess` times the known one."""
-    return bool(chi2 <= excess * chi2_gate(freedom, _WRONG_SIGHTING))
+    return bool(chi2 <= excess * chi2_limit(freedom, _WRONG_SIGHTING))

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_factor, cho_solve
+from numpy.linalg import LinAlgError
 
 from trigpoint.fusion.model.problem import Layout, Problem
 from trigpoint.geometry.rotation import Array
@@ -109,5 +109,7 @@ def covariance_of(information: Array) -> Array:
     is not positive definite."""
     scale = 1 / np.sqrt(np.maximum(np.diagonal(information), 1e-300))
     scaled = symmetric(information) * scale[:, None] * scale
-    inverse = cho_solve(cho_factor(scaled, lower=True), np.eye(len(scaled)))
-    return symmetric(inverse) * scale[:, None] * scale
+    if not np.all(np.isfinite(scaled)):
+        raise LinAlgError("the information is not finite")
+    inverse_root = np.linalg.inv(np.linalg.cholesky(scaled))
+    return inverse_root.T @ inverse_root * scale[:, None] * scale

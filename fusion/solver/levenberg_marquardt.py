@@ -4,7 +4,7 @@ compiled core."""
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import LinAlgError
+from numpy.linalg import LinAlgError
 
 from trigpoint.fusion.model.problem import Problem, State
 from trigpoint.native.library import Kernel, Out

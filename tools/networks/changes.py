@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.special import chdtrc, chdtri
 
 from trigpoint.base.errors import InputError
 from trigpoint.base.terminal import table
 from trigpoint.geometry import Pose
+from trigpoint.geometry.chi_square import chi2_limit, chi2_tail
 from trigpoint.geometry.rotation import Array, exp, log
 from trigpoint.map.network import CameraRecord, Network
 
@@ -58,7 +58,7 @@ def changes(old: Network, new: Network) -> list[Change]:
             "say which one moved"
         )
     pairs = [_pair(old.cameras[name], new.cameras[name]) for name in names]
-    limit = float(chdtri(_DIMENSIONS, _CHANCE / len(names)))
+    limit = chi2_limit(_DIMENSIONS, _CHANCE / len(names))
     stayed = _stayed(pairs, limit)
     found = []
     for number, (name, pair) in enumerate(zip(names, pairs, strict=True)):
@@ -72,7 +72,7 @@ def changes(old: Network, new: Network) -> list[Change]:
                 float(np.linalg.norm(left[:3])),
                 float(np.linalg.norm(left[3:])),
                 distance,
-                float(chdtrc(_DIMENSIONS, distance)),
+                chi2_tail(_DIMENSIONS, distance),
                 distance > limit,
             )
         )

@@ -18,6 +18,8 @@ from trigpoint.base.words import counted, nearest
 from trigpoint.geometry.rotation import Array
 from trigpoint.map.network import Network, load_covariance, load_network
 
+from .changes import changes, changes_json, changes_table, check_file
+
 _HEAD = ("camera", "camera", "metres")
 _MOST_TAPE_SIGMA_M = 1.0
 _FAR_SIGMAS = 3.0
@@ -102,9 +104,6 @@ def main(
     does not count. Given two networks: how far each camera moved between them, and how surely.
     """
     if newer is not None:
-        # scipy is not needed by distances.
-        from .changes import changes, changes_json, changes_table, check_file
-
         found = changes(load_network(network), load_network(check_file(newer)))
         typer.echo(changes_json(found) if json else changes_table(found))
         return

@@ -15,6 +15,7 @@ import numpy as np
 
 from trigpoint.base.errors import InputError
 from trigpoint.geometry import Pose
+from trigpoint.geometry.chi_square import chi2_limit, chi2_tail
 from trigpoint.geometry.rotation import Array, about_z, hat
 
 _CHANCE = 1e-3
@@ -157,7 +158,7 @@ class _Survey:
         the least sum of χ², each no larger than the limit. χ² is by the point's own covariance: by
         that of a bad start, which leaves the rest open, everything would agree."""
         count = len(self._points)
-        limit = _limit(_CHANCE / count)
+        limit = chi2_limit(3, _CHANCE / count)
         best: tuple[float, list[int]] = (math.inf, [])
         for start in _starts(count, fewest):
             pose = self._start(list(start))
@@ -237,7 +238,7 @@ class _Survey:
         own = self._points[number].sigma_m ** 2
         telling = values > _ROUNDING * max(own, float(values[-1]))
         chi2 = float(np.sum((axes.T @ offset)[telling] ** 2 / values[telling]))
-        probability = chance(chi2, int(telling.sum()))
+        probability = chi2_tail(int(telling.sum()), chi2)
         is_outlier = probability < _CHANCE / len(self._points)
         return Residual(self._points[number].name, offset, chi2, probability, is_outlier)
 
@@ -288,23 +289,3 @@ def _starts(count: int, fewest: int) -> Iterator[tuple[int, ...]]:
     """Sets of so few points, evenly out of all there are."""
     every = math.ceil(math.comb(count, fewest) / _MOST_STARTS)
     return itertools.islice(itertools.combinations(range(count), fewest), 0, None, every)
-
-
-def _limit(probability: float) -> float:
-    """χ² of three dimensions that is exceeded with this probability, by halving."""
-    low, high = 0.0, 1000.0
-    while high - low > _ROUNDING:
-        middle = (low + high) / 2
-        low, high = (middle, high) if chance(middle, 3) > probability else (low, middle)
-    return high
-
-
-def chance(chi2: float, dimensions: int) -> float:
-    """The probability of at least this χ² by chance, for up to three dimensions."""
-    tail, density = math.erfc(math.sqrt(chi2 / 2)), math.exp(-chi2 / 2)
-    return (
-        1.0,
-        tail,
-        density,
-        tail + math.sqrt(2 * chi2 / math.pi) * density,
-    )[dimensions]

@@ -7,7 +7,7 @@ sighting comes next; `filter_state` is the filter's own state. Results are given
 from collections.abc import Callable
 
 import numpy as np
-from scipy.linalg import LinAlgError
+from numpy.linalg import LinAlgError
 
 from trigpoint.fusion.association.events import Events
 from trigpoint.fusion.association.explanation import Alternative

@@ -16,8 +16,6 @@ from dataclasses import dataclass, replace
 
 import msgspec
 import numpy as np
-from scipy.optimize import minimize
-from scipy.special import chdtri
 
 from trigpoint.base.clock import to_ns
 from trigpoint.fusion.model.assembly import Assembled
@@ -25,7 +23,9 @@ from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.odometry import SLIP, OdometryTrack
 from trigpoint.fusion.model.prediction import batch_jacobian, odometry_terms
 from trigpoint.fusion.model.problem import Batch, Problem, State
+from trigpoint.fusion.solver.quasi_newton import least
 from trigpoint.geometry import Pose
+from trigpoint.geometry.chi_square import chi2_limit
 from trigpoint.geometry.rotation import Array
 from trigpoint.site.config import OdometryNoise
 
@@ -107,9 +107,9 @@ def likeliest(windows: Windows, stated: Array) -> Array:
 
     # From above: the gradient vanishes for a sigma near zero.
     wide = np.maximum(start, np.log(_WIDE))
-    found = minimize(cost, wide, jac=True, method="L-BFGS-B")
-    gain = cost(start)[0] - float(found.fun)
-    return np.exp(found.x) if gain > chdtri(len(start), _SIGNIFICANCE) else stated
+    found, value = least(cost, wide)
+    gain = cost(start)[0] - value
+    return np.exp(found) if gain > chi2_limit(len(start), _SIGNIFICANCE) else stated
 
 
 def windows_of(problem: Problem, state: State, robot: str) -> Windows | None:

@@ -8,7 +8,7 @@ the filter, is explained together with everything else (`explainer`), and the wh
 from collections import defaultdict
 
 import numpy as np
-from scipy.linalg import LinAlgError
+from numpy.linalg import LinAlgError
 
 from trigpoint.fusion.association.explanation import Alternative
 from trigpoint.fusion.association.scales import rough_robots

@@ -4,7 +4,7 @@ import json
 import math
 from dataclasses import replace
 
-from scipy.stats import chi2
+from scipy.special import chdtri
 from support.fusion.drives import Session
 
 from trigpoint.contract.messages import Message
@@ -27,7 +27,7 @@ def assert_honest(session: Session, results: Results, *, cameras: int = 3) -> No
         assert camera.sigmas < 5, name
     assert error.nees is not None
     freedom = 6 * len(error.cameras)
-    low, high = chi2.ppf([UNLIKELY, 1 - UNLIKELY], freedom) / freedom
+    low, high = chdtri(freedom, [1 - UNLIKELY, UNLIKELY]) / freedom
     assert low < error.nees < high
     assert_sound(results)
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.special import erf
 
 from trigpoint.fusion.coverage.correction_errors import (
     MOST_CAMERAS,
@@ -58,6 +59,19 @@ def test_the_radius_holds_95_percent(covariance: Array) -> None:
     drawn = np.random.default_rng(3).multivariate_normal([0, 0], covariance, 200_000)
     inside = np.mean(np.linalg.norm(drawn, axis=1) <= radius(covariance))
     assert inside == pytest.approx(0.95, abs=0.002)
+
+
+@pytest.mark.parametrize("ratio", [0.0, 0.005, 0.3, 0.995, 1.0])
+def test_the_radius_is_exact(ratio: float) -> None:
+    """Of an ellipse of any shape, by integration over strips along its longer axis."""
+    reach = float(radius(np.diag([1.0, ratio**2])))
+    angles, weights = np.polynomial.legendre.leggauss(2000)
+    angles, weights = 0.5 * np.pi * angles, 0.5 * np.pi * weights
+    along, beside = reach * np.sin(angles), reach * np.cos(angles)
+    strips = (
+        np.exp(-0.5 * along**2) / np.sqrt(2 * np.pi) * erf(beside / np.sqrt(2) / max(ratio, 1e-12))
+    )
+    assert strips * beside @ weights == pytest.approx(0.95, abs=1e-9)
 
 
 def test_one_picture_is_worth_what_joint_least_squares_make_of_it() -> None:

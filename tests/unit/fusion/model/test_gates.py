@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
-from trigpoint.fusion.model.gates import DECISIVE, chi2_gate, is_noise, length_gate
+from trigpoint.fusion.model.gates import DECISIVE, is_noise, length_gate
+from trigpoint.geometry.chi_square import chi2_limit
 
 
 @pytest.mark.parametrize("freedom", [1, 3, 6, 96])
 def test_noise_exceeds_a_gate_as_often_as_it_is_said_to(freedom: int) -> None:
     chi2 = np.random.default_rng(freedom).chisquare(freedom, 200_000)
-    assert np.mean(chi2 > chi2_gate(freedom, 0.01)) == pytest.approx(0.01, abs=0.001)
+    assert np.mean(chi2 > chi2_limit(freedom, 0.01)) == pytest.approx(0.01, abs=0.001)
 
 
 def test_lengths_in_the_plane_exceed_a_gate_as_often_as_it_is_said_to() -> None:

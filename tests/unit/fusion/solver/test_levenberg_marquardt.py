@@ -2,10 +2,12 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
 import pytest
+from numpy.linalg import LinAlgError
 from support.fusion.slow_problem import node_rows, slow_equations, slow_minimum
 from support.fusion.small_problems import (
     first_state,
@@ -233,6 +235,15 @@ def in_a_row(state: State) -> Array:
     return np.concatenate([*cameras, *robots])
 
 
+@cache
+def noisy(situation: str) -> Assembled:
+    """Its problem, with corners half a pixel off; made once for all that is asked of it."""
+    given = dict(SITUATIONS[situation])
+    entries = given.pop("entries")
+    data = small_data(noise_px=0.5, **given)
+    return assemble(data, first_state(data), entries)
+
+
 @pytest.mark.parametrize(
     ("situation", "changed"),
     [
@@ -245,10 +256,7 @@ def in_a_row(state: State) -> Array:
 def test_iteration_is_the_one_written_out(
     situation: str, changed: Callable[[Problem], Problem], huber: float
 ) -> None:
-    given = dict(SITUATIONS[situation])
-    entries = given.pop("entries")
-    data = small_data(noise_px=0.5, **given)
-    assembled = assemble(data, first_state(data), entries)
+    assembled = noisy(situation)
     problem, start = changed(assembled.problem), shaken(assembled)
     for most in (0, 1, 12):
         settings = {"huber": huber, "tolerance": 1e-3, "most_iterations": most}
@@ -326,3 +334,18 @@ def test_picture_of_a_node_that_is_none_is_refused(assembled: Assembled) -> None
     beyond = replace(batch, nodes=batch.nodes + len(assembled.problem.chains[batch.robot]))
     with pytest.raises(RuntimeError, match="do not fit together"):
         linearise(replace(assembled.problem, batches=(beyond,)), assembled.start)
+
+
+@pytest.mark.filterwarnings("ignore:invalid value")
+@pytest.mark.parametrize("spoilt", [-1.0, 0.0, np.nan, np.inf])
+@pytest.mark.parametrize("cell", [(2, 2), (3, 2)])
+def test_information_that_determines_nothing_has_no_covariance(
+    spoilt: float, cell: tuple[int, int]
+) -> None:
+    information = np.full((4, 4), 1.0) + np.eye(4)
+    assert covariance_of(information) @ information == pytest.approx(np.eye(4), abs=1e-12)
+    information[cell] = information[cell[::-1]] = spoilt
+    if cell == (3, 2) and np.isfinite(spoilt):
+        information[2, 2] = information[3, 3] = 0.5 * abs(spoilt)
+    with pytest.raises(LinAlgError):
+        covariance_of(information)

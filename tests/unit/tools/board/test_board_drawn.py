@@ -43,14 +43,22 @@ PLACE = """([layer, name]) => {
 """Where a mark is on the screen, in the map, and which way it points: as it is laid out."""
 
 
-@pytest.fixture
-def browser() -> Iterator[Browser]:
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Browser]:
     with sync_playwright() as playwright:
         opened = playwright.chromium.launch(
             executable_path=CHROMIUM, args=["--no-sandbox"], timeout=PATIENCE_MS
         )
         yield opened
         opened.close()
+
+
+@pytest.fixture
+def browser(chromium: Browser) -> Iterator[Browser]:
+    """One browser for all tests; what a test opens, with its memory, is closed behind it."""
+    yield chromium
+    for context in chromium.contexts:
+        context.close()
 
 
 def opened(browser: Browser, address: str, **settings: object) -> tuple[Page, list[str]]:

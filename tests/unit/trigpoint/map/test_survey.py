@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
-from scipy.stats import chi2
 
 from trigpoint.base.errors import InputError
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
-from trigpoint.map.survey import Laying, SurveyedPoint, chance, lay
+from trigpoint.map.survey import Laying, SurveyedPoint, lay
 
 TRUE = Pose.from_vector([12.0, -3.0, 4.0, 0.0, 0.0, 2.5])
 TILTED = Pose.from_vector([12.0, -3.0, 4.0, 0.1, -0.2, 2.5])
@@ -127,9 +126,3 @@ def test_points_of_which_no_majority_agrees_are_refused() -> None:
     in_frame = TRUE @ PLACES[:3] + np.array([[0, 0, 0], [1.0, 0, 0], [0, 2.0, 0]])
     with pytest.raises(InputError, match=r"no majority of them agrees \(c1 by .* cm, c2"):
         lay(points(PLACES[:3], in_frame), 1e-6 * np.eye(9), is_level=True)
-
-
-@pytest.mark.parametrize("dimensions", [1, 2, 3])
-def test_chance_is_the_chi_squares_tail(dimensions: int) -> None:
-    for value in (0.0, 0.5, 3.0, 20.0):
-        assert chance(value, dimensions) == pytest.approx(float(chi2.sf(value, dimensions)))
