@@ -9,7 +9,7 @@ from trigpoint.base.words import install_command
 def checks() -> list[Check]:
     """Whether the estimator's libraries are there."""
     found = []
-    for package in ("numpy", "opencv-python-headless", "filterpy"):
+    for package in ("numpy", "opencv-python-headless"):
         try:
             found.append(Check(package, "ok", version(package), ""))
         except PackageNotFoundError:

@@ -187,7 +187,6 @@ EXTRAS: dict[str, tuple[str, ...]] = {
     "av": ("streams",),
     "cryptography": ("secure",),
     "cv2": ("edge", "fusion"),
-    "filterpy": ("fusion",),
     "isal": ("recorder",),
     "lz4": ("recorder",),
     "mcap": ("recorder",),

@@ -22,7 +22,7 @@ from trigpoint.zenoh import open_bus
 EXTRAS: dict[str, tuple[str, ...]] = {
     "edge": ("cv2",),
     "robot": ("serial",),
-    "fusion": ("cv2", "filterpy"),
+    "fusion": ("cv2",),
     "recorder": ("mcap", "rerun"),
 }
 """Extra -> the packages that show that it is installed."""

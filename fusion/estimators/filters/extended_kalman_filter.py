@@ -12,9 +12,9 @@ makes the camera's error a linear function of everything else's (Smith, Self and
 """
 
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
-from filterpy.kalman import ExtendedKalmanFilter
 
 from trigpoint.base.clock import to_ns, to_seconds
 from trigpoint.fusion.model.dataset import DataSet
@@ -95,34 +95,33 @@ class KalmanFilterState(KalmanState):
         near = self.only(parts)
         # The first linearisation is where the sighting puts the robot, not where odometry does.
         error = near._error_at(sighting)
-        kalman = view = jacobian = None
+        update = view = jacobian = None
         for _ in range(_MOST_ITERATIONS):
             there = near.moved(error)
             view = there._view(data, sighting)
             if view is None:
                 return None
             jacobian = there._jacobian(data, sighting, view)
-            kalman = _kalman(near.covariance, jacobian, view.residual - jacobian @ error)
-            step, error = kalman.x - error, kalman.x
-            if np.all(np.abs(step) <= _SETTLED * np.sqrt(np.abs(np.diagonal(kalman.P))) + 1e-9):
+            update = _Update.by(near.covariance, jacobian, view.residual - jacobian @ error)
+            step, error = update.error - error, update.error
+            if np.all(np.abs(step) <= _SETTLED * update.sigmas + 1e-9):
                 break
-        assert kalman is not None
+        assert update is not None
         assert view is not None
         assert jacobian is not None
-        after = self._followed(kalman, jacobian, self.of(parts))
-        chi2 = float(kalman.mahalanobis) ** 2
-        return after, _innovation(after._view(data, sighting), view, chi2, len(view.residual))
+        after = self._followed(update, jacobian, self.of(parts))
+        seen = after._view(data, sighting)
+        return after, _innovation(seen, view, update.chi2, len(view.residual))
 
     def _followed(
-        self, kalman: ExtendedKalmanFilter, jacobian: Array, columns: np.ndarray
+        self, update: "_Update", jacobian: Array, columns: np.ndarray
     ) -> "KalmanFilterState":
         """The whole state after an update (k equations) of some of its columns."""
-        gain = self.covariance[:, columns] @ jacobian.T @ kalman.SI
+        gain = update.whitened_gain(self.covariance[:, columns] @ jacobian.T)
         # A product with its own transpose is half the work, and symmetric to the last bit.
-        known = gain @ np.linalg.cholesky(kalman.S)
-        covariance = known @ known.T
+        covariance = gain @ gain.T
         np.subtract(self.covariance, covariance, out=covariance)
-        return replace(self.moved(gain @ kalman.y), covariance=covariance)
+        return replace(self.moved(gain @ update.innovation), covariance=covariance)
 
     def _error_at(self, sighting: ReadSighting) -> Array:
         """The error (n,) that puts the robot where the sighting does."""
@@ -177,10 +176,9 @@ class KalmanFilterState(KalmanState):
         if lower == 0:
             return placed, _innovation(placed._view(data, sighting), view, 0.0, 0)
         prior = placed.covariance[np.ix_(rest, rest)]
-        kalman = _kalman(prior, turned[count:], residual[count:])
-        after = placed._followed(kalman, turned[count:], rest)
-        chi2 = float(kalman.mahalanobis) ** 2
-        return after, _innovation(after._view(data, sighting), view, chi2, lower)
+        update = _Update.by(prior, turned[count:], residual[count:])
+        after = placed._followed(update, turned[count:], rest)
+        return after, _innovation(after._view(data, sighting), view, update.chi2, lower)
 
     def _placed(
         self, part: Part, rest: np.ndarray, by_rest: Array, error: Array
@@ -246,16 +244,34 @@ def _parts_of(sighting: ReadSighting) -> list[Part]:
     return [("last", robot), ("pose", camera), ("offset", camera)]
 
 
-def _kalman(covariance: Array, jacobian: Array, residual: Array) -> ExtendedKalmanFilter:
-    """filterpy's filter over an error that was zero with a covariance (m, m), after an update by
-    equations residual (k,) + jacobian (k, m) · error = noise of unit variance."""
-    kalman = ExtendedKalmanFilter(dim_x=len(covariance), dim_z=len(residual))
-    kalman.x, kalman.P = np.zeros(len(covariance)), covariance
-    kalman.R = np.eye(len(residual))
-    kalman.update(
-        np.zeros(len(residual)), lambda _: jacobian, lambda error: residual + jacobian @ error
-    )
-    return kalman
+@dataclass(frozen=True, slots=True)
+class _Update:
+    """What equations say of an error that was zero with a covariance P (m, m): residual (k,) +
+    J (k, m) · error = noise of unit variance. `root`: L (k, k) of S = 1 + J P Jᵀ = L Lᵀ;
+    `innovation`: (k,), whitened by it; `error`, `sigmas`: (m,) after the update (Kalman, 1960)."""
+
+    root: Array
+    innovation: Array
+    error: Array
+    sigmas: Array
+
+    @classmethod
+    def by(cls, covariance: Array, jacobian: Array, residual: Array) -> Self:
+        """Raises LinAlgError where S is not positive definite."""
+        spread = covariance @ jacobian.T
+        root = np.linalg.cholesky(np.eye(len(residual)) + jacobian @ spread)
+        innovation = np.linalg.solve(root, -residual)
+        gain = np.linalg.solve(root, spread.T).T
+        variances = np.diagonal(covariance) - np.sum(gain**2, axis=1)
+        return cls(root, innovation, gain @ innovation, np.sqrt(np.abs(variances)))
+
+    def whitened_gain(self, spread: Array) -> Array:
+        """The gain by the whitened innovation, (n, k), of unknowns of which P Jᵀ is (n, k)."""
+        return np.linalg.solve(self.root, spread.T).T
+
+    @property
+    def chi2(self) -> float:
+        return float(self.innovation @ self.innovation)
 
 
 def _innovation(

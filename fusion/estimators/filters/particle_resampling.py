@@ -3,7 +3,6 @@
 from collections.abc import Callable
 
 import numpy as np
-from filterpy.monte_carlo import systematic_resample
 
 from trigpoint.geometry.rotation import Array
 
@@ -28,17 +27,11 @@ def effective_sample_size(weights: Array) -> float:
 
 
 def low_variance_indices(weights: Array, random: np.random.Generator) -> np.ndarray:
-    """Indices (n,) by systematic resampling: a particle of weight w comes ⌊nw⌋ or ⌈nw⌉ times.
-
-    filterpy draws from numpy's one global generator, which is seeded for it and put back.
-    """
-    before = np.random.get_state()
-    np.random.seed(int(random.integers(2**32)))
-    try:
-        # By rounding, the sum may end below the last position.
-        return systematic_resample(weights * (1 + 1e-12))
-    finally:
-        np.random.set_state(before)
+    """Indices (n,) by systematic resampling: a particle of weight w comes ⌊nw⌋ or ⌈nw⌉ times
+    (Kitagawa, 1996)."""
+    positions = (random.random() + np.arange(len(weights))) / len(weights)
+    found = np.searchsorted(np.cumsum(weights), positions, "right")
+    return np.minimum(found, len(weights) - 1)  # by rounding, the sum may end below the last
 
 
 def resampled(

@@ -193,7 +193,7 @@ def test_missing_extra_names_what_to_install(
 def test_extras_are_those_that_the_project_declares() -> None:
     declared = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     names = {"PIL": "pillow", "cv2": "opencv-python-headless", "serial": "pyserial"}
-    for package in ("PIL", "av", "cryptography", "cv2", "filterpy", "mcap", "serial"):
+    for package in ("PIL", "av", "cryptography", "cv2", "mcap", "serial"):
         wanted = names.get(package, package)
         has_it = {
             extra

@@ -29,7 +29,7 @@ def test_importing_it_imports_nothing_else() -> None:
 
 
 def test_a_network_needs_no_extra() -> None:
-    heavy = {"cv2", "scipy", "mcap", "zenoh", "filterpy", "av", "serial", "rerun", "rosbags"}
+    heavy = {"cv2", "scipy", "mcap", "zenoh", "av", "serial", "rerun", "rosbags"}
     assert heavy.isdisjoint(modules_after("from trigpoint import read_network, Distances, plugins"))
 
 
