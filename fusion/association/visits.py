@@ -104,10 +104,29 @@ def _ends(data: DataSet, robot: str, stamps_ns: np.ndarray) -> list[int]:
     )
     if len(moments) < 2:
         return []
+    gaps = np.diff(moments)
+    is_away = gaps > min(_LONGEST_GAP_NS, _LONGEST_GAP_PERIODS * float(np.median(gaps)))
+    pieces = track.pieces(moments)
+    ends = []
+    # Between the runs nothing need be known of the motion.
+    runs = np.split(np.arange(len(moments)), np.flatnonzero(is_away) + 1)
+    for run in runs:
+        rows = [int(run[0])] if run[0] else []
+        if len(run) > 1:
+            rows += _ends_of_run(data, robot, moments[run], pieces[run], int(run[0]))
+        ends += [int(np.argmax(row_of == row)) for row in rows]
+    return ends
+
+
+def _ends_of_run(
+    data: DataSet, robot: str, moments: np.ndarray, pieces: np.ndarray, first: int
+) -> list[int]:
+    """The rows, counted from `first`, of moments (n,) with which a new visit begins, since odometry
+    has drifted since the visit's first; `pieces`: of the odometry, (n,)."""
+    track, noise = data.tracks[robot], data.site.robots[robot].odometry
     motion = track.motion(moments, np.zeros(2))
     variances = np.diagonal(motion.covariance, axis1=1, axis2=2)[:, track.tangent]
     half = (len(track.tangent) + 1) // 2  # shifts, then turns
-    noise = data.site.robots[robot].odometry
     lengths = np.linalg.norm(motion.earlier_from_later.translation, axis=1)
     turns = np.linalg.norm(so3.log(motion.earlier_from_later.rotation), axis=1)
     steps = np.stack(
@@ -117,14 +136,11 @@ def _ends(data: DataSet, robot: str, stamps_ns: np.ndarray) -> list[int]:
         ],
         axis=1,
     )
-    pieces = track.pieces(moments)
-    longest_ns = min(_LONGEST_GAP_NS, _LONGEST_GAP_PERIODS * float(np.median(np.diff(moments))))
     ends, drift, since = [], np.zeros(2), 0
     for row in range(1, len(moments)):
         drift = drift + steps[row - 1]
-        gap = moments[row] - moments[row - 1]
         far = drift[0] > _DRIFT_M**2 or drift[1] > _DRIFT_RAD**2
-        if far or gap > longest_ns or pieces[row] != pieces[since]:
-            ends.append(int(np.argmax(row_of == row)))
+        if far or pieces[row] != pieces[since]:
+            ends.append(first + row)
             drift, since = np.zeros(2), row
     return ends

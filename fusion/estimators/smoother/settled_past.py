@@ -27,24 +27,31 @@ from trigpoint.fusion.solver.levenberg_marquardt import linearise
 # Of each robot so many sightings stay.
 _LEAST_OF_A_ROBOT = 20
 _MOST_EARLIER = 64
+_AWAY_NS = 10 * NANOSECONDS
 _PATH_STEP_NS = NANOSECONDS // 10
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
     """How much is kept at least, of which twice as much may come before the rest is summarised,
-    and three times as much while something is open: sightings, and messages of odometry. `paths`:
+    and three times as much while something is open: sightings, times that a robot came before a
+    camera (on whose number the time of a solution depends most), and messages of odometry. `paths`:
     whether the robots' paths are kept all the same."""
 
     sightings: int
     odometry: int = 200_000
+    visits: int = 1_000
     paths: bool = False
 
     def is_reached(self, data: DataSet, *, is_open: bool) -> bool:
         """Whether a part of the data is to be summarised."""
         times = 3 if is_open else 2
         messages = sum(len(track) for track in data.tracks.values())
-        return len(data.entries) > times * self.sightings or messages > times * self.odometry
+        return (
+            len(data.entries) > times * self.sightings
+            or len(_comings_ns(data)) > times * self.visits
+            or messages > times * self.odometry
+        )
 
     def since_ns(self, data: DataSet) -> dict[str, int]:
         """By robot, the stamp from which on its sightings stay."""
@@ -54,7 +61,8 @@ class Limits:
         every_ns = np.concatenate([track.stamps_ns for track in data.tracks.values()])
         odometry_ns = _newest(every_ns, self.odometry)
         sightings = [stamp_ns for each in stamps.values() for stamp_ns in each]
-        cut_ns = max(_newest(sightings, self.sightings), odometry_ns)
+        visits_ns = _newest(_comings_ns(data), self.visits)
+        cut_ns = max(_newest(sightings, self.sightings), visits_ns, odometry_ns)
         moved_ns = max((m.since_ns for m in data.moves if m.since_ns < cut_ns), default=0)
         before = {} if data.past is None else data.past.since_ns
         since_ns = {}
@@ -66,7 +74,7 @@ class Limits:
         return since_ns
 
 
-LIVE = Limits(1_500)
+LIVE = Limits(1_500, visits=120)
 OF_A_SESSION = Limits(10_000, 600_000, paths=True)
 """Of a recording, which is explained as a whole as long as a machine can bear."""
 
@@ -77,6 +85,19 @@ def past_path(path: Trajectory, past: Past, robot: str) -> Trajectory:
     count = max(int(np.searchsorted(path.stamps_ns, begin_ns, "right")) - 1, 0)
     rows = np.flatnonzero(np.diff(path.stamps_ns[:count] // _PATH_STEP_NS, prepend=0))
     return Trajectory(path.stamps_ns[rows], path.map_from_base[rows])
+
+
+def _comings_ns(data: DataSet) -> list[int]:
+    """The moments with which a robot came before a camera that had not seen it for a while."""
+    seen: dict[tuple[str, str], list[int]] = defaultdict(list)
+    for entry in data.entries:
+        seen[entry.observation.camera, entry.observation.robot].append(entry.observation.stamp_ns)
+    comings_ns = []
+    for stamps in seen.values():
+        own_ns = np.sort(stamps)
+        is_new = np.diff(own_ns, prepend=own_ns[0] - 2 * _AWAY_NS) > _AWAY_NS
+        comings_ns += own_ns[is_new].tolist()
+    return comings_ns
 
 
 def _newest(stamps: np.ndarray | list[int], count: int) -> int:

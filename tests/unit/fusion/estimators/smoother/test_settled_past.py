@@ -47,6 +47,24 @@ def test_of_much_odometry_the_newest_is_kept_whatever_was_seen() -> None:
     assert since == {"r1": pytest.approx(350.0, abs=1.0), "r2": pytest.approx(350.0, abs=1.0)}
 
 
+def test_of_many_visits_the_newest_are_kept_however_few_pictures_they_have() -> None:
+    data = data_of({"r1": range(100, 400, 15), "r2": range(101, 400, 15)})
+    limits = Limits(sightings=100, visits=12)
+    assert limits.is_reached(data, is_open=False)
+    assert not replace(limits, visits=20).is_reached(data, is_open=False)
+    # Twenty pictures of a robot stay in any case: here all of it.
+    assert kept_since_s(limits, data) == {"r1": 100.0, "r2": 101.0}
+    more = data_of({"r1": range(10, 390, 15), "r2": range(15, 395, 15)})
+    assert kept_since_s(limits, more) == {"r1": 100.0, "r2": 105.0}
+    assert kept_since_s(replace(limits, visits=50), more) == {"r1": 25.0, "r2": 25.0}
+
+
+def test_pictures_in_a_row_are_one_visit() -> None:
+    data = data_of({"r1": range(100, 300), "r2": range(200, 300)})
+    assert not Limits(sightings=1000, visits=1).is_reached(data, is_open=False)
+    assert kept_since_s(Limits(sightings=1000, visits=1), data) == {"r1": 200.0, "r2": 200.0}
+
+
 def test_a_robot_that_was_not_seen_for_long_keeps_its_last_sightings() -> None:
     data = data_of({"r1": range(100, 400), "r2": range(5, 45)})
     assert kept_since_s(Limits(sightings=100), data) == {"r1": 300.0, "r2": 25.0}
