@@ -30,7 +30,7 @@ _FAR_RMS_SIGMAS = 100.0
 _REAL = np.float64
 _EQUATIONS = (
     *(In(_REAL, ("p",)), In(_REAL, (1, 12)), In(_REAL, ("n", 2)), In(_REAL, ("n",))),
-    *(In(_REAL, ("q", 12)), In(_REAL, ("r", "e")), In(np.int64, ("d",))),
+    *(In(_REAL, ("q", 12)), In(_REAL, ("r", "d")), In(np.int64, ("d",))),
 )
 _ALIGNED = Kernel(
     *("tp_aligned", *_EQUATIONS, In(_REAL, ("b", "n", 3)), In(_REAL, ("b", 12))),
