@@ -1,4 +1,4 @@
-"""The border to the compiled core: every array that crosses it is checked here.
+"""The border to the compiled core: no array crosses it unchecked.
 
 A `Kernel` is one function of the library with the types and shapes of what it takes. A call has
 them checked (`packing.cpp`), so that nothing can be read or written outside of an array; the
@@ -29,7 +29,7 @@ _KINDS = {"f": b"f", "i": b"i", "u": b"u", "b": b"?"}
 # The functions of CPython that `packing.cpp` calls, in its order.
 _PYTHON = (
     *("PyTuple_GetItem", "PyObject_GetBuffer", "PyBuffer_Release", "PyFloat_AsDouble"),
-    *("PyLong_AsLongLong", "PyErr_Occurred", "PyErr_Clear"),
+    *("PyLong_AsLongLong", "PyErr_Occurred", "PyErr_Clear", "PyObject_IsInstance"),
 )
 
 
@@ -159,7 +159,7 @@ def _packing() -> tuple[Callable[..., int], ctypes.Array[ctypes.c_void_p]]:
     address, number = ctypes.c_void_p, ctypes.c_int64
     pack.argtypes = (ctypes.py_object, ctypes.c_char_p, number, address, address)
     functions = [ctypes.cast(getattr(ctypes.pythonapi, name), address) for name in _PYTHON]
-    return pack, (address * len(functions))(*functions)
+    return pack, (address * (len(functions) + 1))(*functions, id(np.ndarray))
 
 
 def _found(library: ctypes.CDLL, name: str) -> Any:

@@ -14,6 +14,7 @@ import numpy as np
 
 from trigpoint.native.library import Handle, In, Kernel, Out
 
+from . import live
 from .kernels import OBJECTS, object_of
 from .problem import full_system, problem, reduced
 from .scene import TEXELS, Scene
@@ -46,11 +47,25 @@ SOUND: dict[str, Callable[[Scene], Mapping[int, np.ndarray | float]]] = {
     "tp_paths": lambda scene: {0: np.ascontiguousarray(scene.places[:, ::-1], np.int64), 1: 0},
     "tp_sound_corners": lambda scene: {0: scene.places, 1: scene.pixels, 4: 0.7, 6: -1.0},
 }  # fmt: skip
-# All arguments but the object, where nothing of them may be drawn by itself.
+# All arguments, but for an object that comes first, where nothing of them may be drawn by itself.
 WHOLE: dict[str, Callable[[np.random.Generator], list[object]]] = {
     "tp_minimised": problem,
     "tp_reduced": lambda _: reduced(),
     "tp_full_system": lambda _: full_system(),
+    **{
+        f"tp_{made.__name__}": made
+        for made in (
+            live.carried_on,
+            live.odometry_step,
+            live.near_extended,
+            live.near_moved,
+            live.near_updated,
+            live.aligned,
+            live.aligned_nearly,
+            live.aligned_robustly,
+            live.corner_factor,
+        )
+    },
 }
 SOUND_SHARE = 0.8
 # Inputs that are one sound one, each spoilt in another way but the first.
@@ -134,7 +149,9 @@ class Draw:
         """Such as the kernel's declaration lets pass."""
         self.lengths = {}
         if kernel.name in WHOLE and self.rng.random() < SOUND_SHARE:
-            return [self._argument(kernel.parameters[0]), *WHOLE[kernel.name](self.rng)]
+            first = kernel.parameters[0]
+            given = [] if isinstance(first, In) else [self._argument(first)]
+            return [*given, *WHOLE[kernel.name](self.rng)]
         values = [self._argument(parameter) for parameter in kernel.parameters]
         if kernel.name in SOUND and self.rng.random() < SOUND_SHARE:
             for at, value in SOUND[kernel.name](self.scene).items():
@@ -163,7 +180,10 @@ class Draw:
             return axis
         if axis not in self.lengths:
             is_room = (
-                parameter.is_written and parameter.shape[0] == axis and len(parameter.shape) == 2
+                parameter.is_written
+                and parameter.shape[0] == axis
+                and len(parameter.shape) == 2
+                and parameter.shape[1] != axis
             )
             length = MOST_FOUND if is_room and self.rng.random() < 0.7 else self._free_length(axis)
             self.lengths[axis] = length

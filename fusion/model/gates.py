@@ -5,7 +5,7 @@ To change what is rejected, or how certain a choice must be, change a probabilit
 
 import math
 
-from trigpoint.geometry.chi_square import chi2_limit
+from trigpoint.geometry.chi_square import chi2_tail
 
 # Of two explanations (readings, poses, robots) one is chosen only where the likelihood of the
 # other, relative to it, is below this.
@@ -38,4 +38,4 @@ SAME_CORNER_SIGMAS = math.sqrt(2) * length_gate(_SAME_CORNER)
 def is_noise(chi2: float, freedom: int, *, excess: float = 1.0) -> bool:
     """Whether a sighting's normalised innovation squared passes the χ² gate, for a variance of up
     to `excess` times the known one."""
-    return bool(chi2 <= excess * chi2_limit(freedom, _WRONG_SIGHTING))
+    return chi2_tail(freedom, chi2 / excess) >= _WRONG_SIGHTING

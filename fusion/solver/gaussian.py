@@ -39,7 +39,7 @@ _MOVED = Kernel(
 _UPDATED = Kernel(
     "tp_near_updated",
     *(In(_REAL, ("t", "k")), In(_WHOLE, ("m",)), In(_REAL, ("r", "m")), In(_REAL, ("r",))),
-    *(In(_WHOLE, ("f",)), Out(_REAL, ("t", "k")), Out(_REAL, ("r",))),
+    *(In(_WHOLE, ("f",)), int, Out(_REAL, ("t", "k")), Out(_REAL, ("r",))),
 )
 
 
@@ -185,8 +185,8 @@ class Gaussian:
         table, whitened = np.empty_like(near.table), np.empty(len(residual))
         is_sound = _UPDATED(
             *(near.table, near.rows(columns), np.ascontiguousarray(jacobian)),
-            *(np.ascontiguousarray(residual), near.rows(columns[:0] if free is None else free)),
-            *(table, whitened),
+            *(np.ascontiguousarray(residual), near.rows(columns if free is None else free)),
+            *(free is None, table, whitened),
         )
         if not is_sound:
             raise LinAlgError("an innovation's covariance is not positive definite")
@@ -196,13 +196,15 @@ class Gaussian:
         """The same with these columns (m,) among the near ones."""
         if self._asked(columns) is self._near:
             return self
-        return self.settled()._ready(columns)
+        settled = self.settled()
+        settled._near = settled._with_near(columns)
+        return settled
 
     def _asked(self, columns: np.ndarray) -> _Near:
         """The near columns and these (m,); kept for the next to ask, where they are not too many:
-        which are near is no part of what a Gaussian says."""
+        which are near is no part of what a Gaussian says. For one thread at a time."""
         near = self._with_near(columns)
-        if len(near.columns) <= max(_MOST_NEAR, len(columns)):
+        if len(near.columns) <= _MOST_NEAR:
             self._near = near
         return near
 

@@ -45,9 +45,11 @@ def least(
         step = np.zeros(len(x))
         step[free] = -np.linalg.solve(hessian[np.ix_(free, free)], gradient[free])
         length, near, far = 1.0, 0.0, np.inf
+        best = x, value, gradient
         for _ in range(_MOST_TRIALS):
             there = np.clip(x + length * step, low, high)
             after, slope = cost(there)
+            after = after if np.isfinite(after) else np.inf
             promised = float(gradient @ (there - x))
             moves = (there > low) & (there < high)
             if promised >= 0 or after > value + _LEAST_DECREASE * promised:
@@ -56,10 +58,12 @@ def least(
                 far, length = length, near + (length - near) * min(max(share, 0.1), 0.5)
             elif slope[moves] @ step[moves] < _MOST_SLOPE * (gradient @ step):
                 near, length = length, (length + far) / 2 if np.isfinite(far) else 4 * length
+                best = there, after, slope
             else:
                 break
         else:
-            break  # rounding leaves nothing to find
+            x, value, gradient = best
+            break  # rounding leaves nothing to find, or there is no least value
         moved, turned, gain = there - x, slope - gradient, value - after
         x, value, gradient = there, after, slope
         if gain <= flat * max(abs(value + gain), abs(value), 1.0):

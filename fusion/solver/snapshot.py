@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.linalg import LinAlgError
 
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.odometry import PLANAR, SPATIAL
@@ -47,8 +48,8 @@ class RobotPlace:
         return PLANAR if self.planar else SPATIAL
 
 
-def place_of(data: DataSet, known: Filter, robot: str) -> RobotPlace:
-    """A robot at its last odometry message."""
+def place_of(data: DataSet, known: Filter, robot: str) -> RobotPlace | None:
+    """A robot at its last odometry message; None where odometry determines no way to it."""
     track, start_ns = data.tracks[robot], known.stamps_ns[robot]
     pose = known.state.robots[robot].map_from_base[0]
     still = np.eye(len(track.tangent))
@@ -56,7 +57,10 @@ def place_of(data: DataSet, known: Filter, robot: str) -> RobotPlace:
     if start_ns < track.last_ns:
         between = start_ns, track.last_ns, known.scales(robot)
         end, _ = track.carried_on(*between, pose, np.zeros((6, 6)))
-        matrix, _, noise = track.step(*between, pose, end)
+        try:
+            matrix, _, noise = track.step(*between, pose, end)
+        except LinAlgError:
+            return None
         since, pose = ExpectedMotion(matrix[:, :-2], matrix[:, -2:], noise), end
     return RobotPlace(
         robot,
@@ -94,9 +98,10 @@ class GuidanceWorld:
     def of(cls, data: DataSet, known: Filter, problem: Problem, state: State) -> "GuidanceWorld":
         """From a solution (`problem`, `state`) and the filter that carries it on."""
         robots = {
-            name: place_of(data, known, name)
+            name: place
             for name in data.site.robots
             if known.has_robot(name) and len(data.tracks[name])
+            if (place := place_of(data, known, name)) is not None
         }
         ways = {name: state.robots[name].map_from_base for name in problem.chains}
         here = [name for name in data.site.cameras if name in known.reduced.layout.pose]

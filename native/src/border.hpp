@@ -16,7 +16,7 @@
 
 namespace trigpoint {
 
-// An array in one piece, row by row; its type and shape were checked by `library.py`.
+// An array in one piece, row by row; its type and shape were checked by `packing.cpp`.
 struct Array {
     void* data;
     std::int64_t shape[3];
@@ -33,7 +33,7 @@ struct Array {
     }
 };
 
-// What a function is given, one after the other, as `library.py` packs them.
+// What a function is given, one after the other, as `packing.cpp` packs them.
 union Argument {
     Array array;
     std::int64_t whole;

@@ -25,6 +25,8 @@ struct Python {
     long long (*as_whole)(void*);
     void* (*error_occurred)();
     void (*clear_error)();
+    int (*is_instance)(void*, void*);
+    void* array_type;  // numpy's
 };
 
 // One parameter of a kernel, as `library.py` packs it.
@@ -62,6 +64,8 @@ char kind_of(char format) {
 
 Fault fault_in(const Buffer& buffer, const Parameter& wanted, std::int64_t* lengths) {
     const char* format = buffer.format == nullptr ? "B" : buffer.format;
+    // As numpy marks what does not lie where its type may.
+    if (format[0] == '=' || format[0] == '^') return PIECES;
     if (format[1] != '\0' || kind_of(format[0]) != wanted.number ||
         buffer.item_bytes != wanted.item_bytes)
         return TYPE;
@@ -89,7 +93,8 @@ Fault packed(const Python& python, void* value, const Parameter& wanted, std::in
              trigpoint::Argument& argument) {
     if (wanted.kind == 0) {
         Buffer buffer;
-        if (python.get_buffer(value, &buffer, STRIDES_AND_FORMAT) != 0) {
+        if (python.is_instance(value, python.array_type) != 1 ||
+            python.get_buffer(value, &buffer, STRIDES_AND_FORMAT) != 0) {
             python.clear_error();
             return TYPE;
         }

@@ -32,30 +32,30 @@ MOST_CORNERS = 4096
 MOST_TEXT_BYTES = 256
 """Limits per picture, per face, and of a name: several times those of any target."""
 
-_STAMP = struct.Struct("<iI")
-_COUNT = struct.Struct("<I")
-_TWO_COUNTS = struct.Struct("<II")
-_FACE = struct.Struct("<iI")
-_SIGMA = struct.Struct("<f")
+STAMP = struct.Struct("<iI")
+COUNT = struct.Struct("<I")
+TWO_COUNTS = struct.Struct("<II")
+FACE = struct.Struct("<iI")
+SIGMA = struct.Struct("<f")
 # Pose, covariance, twist, covariance.
-_ODOMETRY = struct.Struct("<7d288x6d288x")
-_POSE = struct.Struct("<7d")
+ODOMETRY = struct.Struct("<7d288x6d288x")
+POSE = struct.Struct("<7d")
 _COVARIANCE = 36
 
 
 def odometry(payload: bytes) -> Odometry | None:
     """The message, or None if it is not valid."""
     try:
-        seconds, nanoseconds = _STAMP.unpack_from(payload, _START)
-        frame_id, position = _string(payload, _START + _STAMP.size)
+        seconds, nanoseconds = STAMP.unpack_from(payload, _START)
+        frame_id, position = _string(payload, _START + STAMP.size)
         child_frame_id, position = _string(payload, _aligned(position, 4))
         position = _aligned(position, 8)
-        values = _ODOMETRY.unpack_from(payload, position)
+        values = ODOMETRY.unpack_from(payload, position)
     except (struct.error, ValueError):
         return None
     x, y, z, *quaternion = values[:7]
     # The sum is finite only if all of them are.
-    is_sound = _is_whole(payload, position + _ODOMETRY.size) and math.isfinite(sum(values))
+    is_sound = _is_whole(payload, position + ODOMETRY.size) and math.isfinite(sum(values))
     if not is_sound or abs(math.hypot(*quaternion) - 1) > UNIT_TOLERANCE:
         return None
     return Odometry(
@@ -71,15 +71,15 @@ def odometry(payload: bytes) -> Odometry | None:
 def pose_estimate(payload: bytes) -> PoseEstimate | None:
     """The message, or None if it is not valid."""
     try:
-        seconds, nanoseconds = _STAMP.unpack_from(payload, _START)
-        frame_id, position = _string(payload, _START + _STAMP.size)
+        seconds, nanoseconds = STAMP.unpack_from(payload, _START)
+        frame_id, position = _string(payload, _START + STAMP.size)
         position = _aligned(position, 8)
-        values = _POSE.unpack_from(payload, position)
-        covariance = np.frombuffer(payload, "<f8", _COVARIANCE, position + _POSE.size)
+        values = POSE.unpack_from(payload, position)
+        covariance = np.frombuffer(payload, "<f8", _COVARIANCE, position + POSE.size)
     except (struct.error, ValueError):
         return None
     x, y, z, *quaternion = values
-    end = position + _POSE.size + covariance.nbytes
+    end = position + POSE.size + covariance.nbytes
     # Each sum is finite only if all of it are.
     is_sound = _is_whole(payload, end) and math.isfinite(sum(values) + math.fsum(covariance))
     if not is_sound or abs(math.hypot(*quaternion) - 1) > UNIT_TOLERANCE:
@@ -95,11 +95,11 @@ def pose_estimate(payload: bytes) -> PoseEstimate | None:
 def sightings(payload: bytes) -> Sightings | None:
     """The message, or None if it is not valid; raise MessageError if it holds too much."""
     try:
-        seconds, nanoseconds = _STAMP.unpack_from(payload, _START)
-        frame_id, position = _string(payload, _START + _STAMP.size)
+        seconds, nanoseconds = STAMP.unpack_from(payload, _START)
+        frame_id, position = _string(payload, _START + STAMP.size)
         position = _aligned(position, 4)
-        width, height = _TWO_COUNTS.unpack_from(payload, position)
-        count = _COUNT.unpack_from(payload, position + 8)[0]
+        width, height = TWO_COUNTS.unpack_from(payload, position)
+        count = COUNT.unpack_from(payload, position + 8)[0]
         position += 12
         check_count("faces", count, MOST_FACES)
         faces: list[FaceSighting] = []
@@ -118,22 +118,22 @@ def _face(payload: bytes, position: int) -> tuple[FaceSighting, int]:
     """A face and the position after it; ValueError if it is not valid."""
     target, position = _string(payload, position)
     position = _aligned(position, 4)
-    face, count = _FACE.unpack_from(payload, position)
+    face, count = FACE.unpack_from(payload, position)
     check_count("corners of a face", count, MOST_CORNERS)
-    corners = np.frombuffer(payload, "<u2", count, position + _FACE.size)
-    position = _aligned(position + _FACE.size + 2 * count, 4)
-    (length,) = _COUNT.unpack_from(payload, position)
+    corners = np.frombuffer(payload, "<u2", count, position + FACE.size)
+    position = _aligned(position + FACE.size + 2 * count, 4)
+    (length,) = COUNT.unpack_from(payload, position)
     if count == 0 or length != 2 * count or len(set(corners.tolist())) != count:
         raise ValueError
-    pixels = np.frombuffer(payload, "<f4", length, position + _COUNT.size)
-    position += _COUNT.size + 4 * length
-    (sigma,) = _SIGMA.unpack_from(payload, position)
+    pixels = np.frombuffer(payload, "<f4", length, position + COUNT.size)
+    position += COUNT.size + 4 * length
+    (sigma,) = SIGMA.unpack_from(payload, position)
     # The comparisons are false for NaN.
     is_sound = LEAST_SIGMA_PX <= sigma <= MOST_SIGMA_PX and np.abs(pixels).max() <= FURTHEST_PX
     if not is_sound:
         raise ValueError
     found = FaceSighting(target, face, corners, pixels.reshape(-1, 2), sigma)
-    return found, position + _SIGMA.size
+    return found, position + SIGMA.size
 
 
 def check_count(what: str, count: int, most: int) -> None:
@@ -149,8 +149,8 @@ def _is_whole(payload: bytes, end: int) -> bool:
 
 def _string(payload: bytes, position: int) -> tuple[str, int]:
     """A string and the position after it; ValueError if it is not one."""
-    start = position + _COUNT.size
-    length = _COUNT.unpack_from(payload, position)[0]
+    start = position + COUNT.size
+    length = COUNT.unpack_from(payload, position)[0]
     check_count("bytes of a name", length, MOST_TEXT_BYTES)
     end = start + length
     if end <= start or payload[end - 1 : end] != b"\0":

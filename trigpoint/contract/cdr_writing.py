@@ -12,6 +12,7 @@ import numpy as np
 
 from trigpoint.geometry import Pose
 
+from .cdr_layout import COUNT, FACE, ODOMETRY, POSE, SIGMA, STAMP, TWO_COUNTS
 from .messages import (
     Message,
     Odometry,
@@ -21,12 +22,8 @@ from .messages import (
     Transforms,
 )
 
-_LITTLE_ENDIAN = b"\x00\x01\0\0"
-_COUNT, _STAMP = struct.Struct("<I"), struct.Struct("<iI")
-_TWO_COUNTS, _FACE = struct.Struct("<II"), struct.Struct("<iI")
-_SIGMA, _POSE = struct.Struct("<f"), struct.Struct("<7d")
-# Pose, covariance, twist, covariance; of odometry both covariances are zeros.
-_ODOMETRY = struct.Struct("<7d288x6d288x")
+_HEADER = b"\x00\x01\0\0"  # little-endian CDR
+_COVARIANCE = struct.Struct("<36d")
 
 
 def quickly_written(message: Message) -> bytes | None:
@@ -40,49 +37,49 @@ def quickly_written(message: Message) -> bytes | None:
         write(data, message)
     except struct.error:
         return None
-    return _LITTLE_ENDIAN + data
+    return _HEADER + data
 
 
 def _odometry(data: bytearray, m: Odometry) -> None:
     _add_header(data, m.stamp_ns, m.frame_id)
     _add_text(data, m.child_frame_id)
     _align(data, 8)
-    data += _ODOMETRY.pack(*_values(m.pose), *m.linear, *m.angular)
+    data += ODOMETRY.pack(*_values(m.pose), *m.linear, *m.angular)
 
 
 def _sightings(data: bytearray, m: Sightings) -> None:
     _add_header(data, m.stamp_ns, m.frame_id)
     _align(data, 4)
-    data += _TWO_COUNTS.pack(m.width, m.height) + _COUNT.pack(len(m.faces))
+    data += TWO_COUNTS.pack(m.width, m.height) + COUNT.pack(len(m.faces))
     for face in m.faces:
         _add_text(data, face.target)
         _align(data, 4)
-        data += _FACE.pack(face.face, len(face.corners))
+        data += FACE.pack(face.face, len(face.corners))
         data += np.ascontiguousarray(face.corners, "<u2").tobytes()
         _align(data, 4)
-        data += _COUNT.pack(face.pixels.size)
-        data += np.ascontiguousarray(face.pixels, "<f4").tobytes() + _SIGMA.pack(face.sigma)
+        data += COUNT.pack(face.pixels.size)
+        data += np.ascontiguousarray(face.pixels, "<f4").tobytes() + SIGMA.pack(face.sigma)
 
 
 def _pose_estimate(data: bytearray, m: PoseEstimate) -> None:
     _add_pose(data, m)
-    data += np.ascontiguousarray(m.covariance, "<f8").tobytes()
+    data += _COVARIANCE.pack(*m.covariance.ravel().tolist())
 
 
 def _add_pose(data: bytearray, m: PoseEstimate | PoseStamped) -> None:
     _add_header(data, m.stamp_ns, m.frame_id)
     _align(data, 8)
-    data += _POSE.pack(*_values(m.pose))
+    data += POSE.pack(*_values(m.pose))
 
 
 def _transforms(data: bytearray, m: Transforms) -> None:
-    data += _COUNT.pack(len(m.transforms))
+    data += COUNT.pack(len(m.transforms))
     for one in m.transforms:
         _align(data, 4)
         _add_header(data, one.stamp_ns, one.parent)
         _add_text(data, one.child)
         _align(data, 8)
-        data += _POSE.pack(*_values(one.pose))
+        data += POSE.pack(*_values(one.pose))
 
 
 _WRITERS: dict[type, Callable[[bytearray, Any], None]] = {
@@ -102,14 +99,14 @@ def _values(pose: Pose) -> tuple[float, ...]:
 def _add_header(data: bytearray, stamp_ns: int, frame_id: str) -> None:
     if stamp_ns < 0:
         raise struct.error("a stamp before 1970")
-    data += _STAMP.pack(*divmod(stamp_ns, 1_000_000_000))
+    data += STAMP.pack(*divmod(stamp_ns, 1_000_000_000))
     _add_text(data, frame_id)
 
 
 def _add_text(data: bytearray, name: str) -> None:
     _align(data, 4)
     text = name.encode() + b"\0"
-    data += _COUNT.pack(len(text)) + text
+    data += COUNT.pack(len(text)) + text
 
 
 def _align(data: bytearray, size: int) -> None:

@@ -23,6 +23,8 @@ def chi2_tail(freedom: int, chi2: float) -> float:
 @cache
 def chi2_limit(freedom: int, probability: float) -> float:
     """The χ² that is exceeded with this probability, above 0 and below 1; by bisection."""
+    if freedom == 0:
+        return 0.0
     low, high = 0.0, float(freedom)
     while chi2_tail(freedom, high) > probability:
         low, high = high, 2 * high

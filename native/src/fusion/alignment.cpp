@@ -3,6 +3,7 @@
 #include <Eigen/Eigenvalues>
 #include <Eigen/LU>
 #include <algorithm>
+#include <cmath>
 #include <limits>
 #include <stdexcept>
 #include <vector>
@@ -142,6 +143,7 @@ TRIGPOINT_KERNEL(tp_aligned) {
             pose = at.moved(pose, step);
             if (step.cwiseAbs().maxCoeff() < SMALL_STEP) break;
         }
+        if (std::isnan(cost)) cost = std::numeric_limits<double>::infinity();
         put_pose(pose, asked[2].array.as<double>() + 12 * b);
         asked[3].array.as<double>()[b] = cost;
     }

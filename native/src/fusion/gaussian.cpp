@@ -110,18 +110,18 @@ TRIGPOINT_KERNEL(tp_near_moved) {
 }
 
 // (a table, rows (m,), Jacobian (r, m) by them, residual (r,) where they are 0, rows (f,) that may
-// be changed, none where all may, the table after, the whitened innovation (r,)): 1, or 0 where the
+// be changed, or whether all may, the table after, the whitened innovation (r,)): 1, or 0 where the
 // innovation's covariance is not positive definite. With S = 1 + H P Hᵀ = L Lᵀ the gain of the near
 // columns is P Hᵀ L⁻ᵀ, that of the far ones P⁰_fn Φᵀ Hᵀ L⁻ᵀ.
 TRIGPOINT_KERNEL(tp_near_updated) {
     Known near(arguments[0].array);
-    Made made(arguments[5].array);
+    Made made(arguments[6].array);
     const std::vector<Index> rows = indices(arguments[1].array, near.size),
                              free = indices(arguments[4].array, near.size);
     const Index r = arguments[3].array.shape[0], m = static_cast<Index>(rows.size());
     const Eigen::Map<const RowMajor> jacobian(arguments[2].array.as<double>(), r, m);
     const Eigen::Map<const Eigen::VectorXd> residual(arguments[3].array.as<double>(), r);
-    Eigen::Map<Eigen::VectorXd> whitened(arguments[6].array.as<double>(), r);
+    Eigen::Map<Eigen::VectorXd> whitened(arguments[7].array.as<double>(), r);
     Eigen::MatrixXd gain = near.covariance()(Eigen::all, rows) * jacobian.transpose();
     Eigen::MatrixXd far = near.carry()(rows, Eigen::all).transpose() * jacobian.transpose();
     Eigen::MatrixXd innovation = jacobian * gain(rows, Eigen::all);
@@ -132,7 +132,7 @@ TRIGPOINT_KERNEL(tp_near_updated) {
     root.matrixU().solveInPlace<Eigen::OnTheRight>(gain);
     root.matrixU().solveInPlace<Eigen::OnTheRight>(far);
     made.set(near);
-    if (!free.empty()) {
+    if (arguments[5].whole == 0) {
         Eigen::MatrixXd own = Eigen::MatrixXd::Zero(gain.rows(), r);
         for (const Index row : free) own.row(row) = gain.row(row);
         const Eigen::MatrixXd across = own * gain.transpose();
