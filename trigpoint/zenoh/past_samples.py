@@ -93,20 +93,20 @@ class History:
                     question.timer.cancel()
 
     def _ask(self, sender: Sender, question: _Question) -> None:
-        """Ask for the latest that came, too: its sender has it, and so answers if it is reached."""
+        """Ask for the latest that came, too: its sender has it, and answers with it last."""
         zid, entity = sender
         with self._lock:
-            numbers = f"_sn={question.begin}..{max(question.held)}"
+            latest = max(question.held)
 
         def take(reply: zenoh.Reply) -> None:
             if (sample := reply.ok) is not None and (info := sample.source_info) is not None:
                 with self._lock:
-                    question.is_answered = True
+                    question.is_answered |= info.source_sn == latest
                     question.held.setdefault(info.source_sn, sample)
 
         try:
             self._session.get(
-                f"{question.key}/@adv/*/{zid}/{entity}/**?{numbers}",
+                f"{question.key}/@adv/*/{zid}/{entity}/**?_sn={question.begin}..{latest}",
                 called_at_once(take, end=lambda: self._end(sender, question)),
                 target=QueryTarget.ALL,
                 consolidation=ConsolidationMode.NONE,
@@ -118,7 +118,8 @@ class History:
             self._end(sender, question)
 
     def _end(self, sender: Sender, question: _Question) -> None:
-        """Hand on the waiting samples, which later ones follow; or ask again if nobody answered."""
+        """Hand on the waiting samples, which later ones follow; or ask again, if the answer never
+        came or broke off."""
         with self._lock:
             if self._is_closed:
                 return
@@ -145,6 +146,7 @@ class History:
                 self._miss(number - expected)
             self._hand_on(sample)
             expected = number + 1
+        self._next.pop(sender, None)  # so that who has been silent for longest is forgotten first
         self._next[sender] = expected
         if len(self._next) > _MOST_SENDERS:
             del self._next[next(iter(self._next))]

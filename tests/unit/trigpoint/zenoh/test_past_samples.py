@@ -45,14 +45,21 @@ def sender(session: zenoh.Session) -> ext.AdvancedPublisher:
 
 class Listener:
     """What a History hands on that a plain subscriber feeds, which never asks for anything, with
-    samples `lost` on the way; the History's first `unheard` questions reach nobody."""
+    samples `lost` on the way; the History's first `unheard` questions reach nobody, and the answers
+    to the next `broken` ones have their first sample alone."""
 
     def __init__(
-        self, session: zenoh.Session, *, lost: Collection[str] = (), unheard: int = 0
+        self,
+        session: zenoh.Session,
+        *,
+        lost: Collection[str] = (),
+        unheard: int = 0,
+        broken: int = 0,
     ) -> None:
         self.came: list[str] = []
         self.missed = 0
-        self._session, self._lost, self._unheard = session, lost, unheard
+        self._session, self._lost = session, lost
+        self._turns = ["unheard"] * unheard + ["broken"] * broken
         self.history = History(
             self,  # pyright: ignore[reportArgumentType]
             KEPT,
@@ -63,9 +70,12 @@ class Listener:
 
     def get(self, selector: str, *words: object, **options: object) -> None:
         """Stands for the session's."""
-        self._unheard -= 1
-        question = "nobody/here" if self._unheard >= 0 else selector
-        self._session.get(question, *words, **options)  # pyright: ignore
+        if (turn := self._turns.pop(0) if self._turns else "") == "unheard":
+            selector = "nobody/here"
+        elif turn == "broken":
+            begin = selector.partition("_sn=")[2].partition("..")[0]
+            selector = f"{selector.partition('..')[0]}..{begin}"
+        self._session.get(selector, *words, **options)  # pyright: ignore
 
     def _receive(self, sample: zenoh.Sample) -> None:
         if sample.payload.to_string() not in self._lost:
@@ -98,12 +108,12 @@ def test_what_was_sent_before_comes_first(
     assert numbers[0] <= max(0, before + 10 - KEPT)
 
 
-@pytest.mark.parametrize("unheard", [0, 2])
+@pytest.mark.parametrize(("unheard", "broken"), [(0, 0), (2, 0), (0, 2), (1, 1)])
 def test_what_is_lost_in_between_is_asked_for_until_its_sender_answers(
-    sessions: tuple[zenoh.Session, zenoh.Session], unheard: int
+    sessions: tuple[zenoh.Session, zenoh.Session], unheard: int, broken: int
 ) -> None:
     publisher = sender(sessions[0])
-    listener = Listener(sessions[1], lost=("3", "4"), unheard=unheard)
+    listener = Listener(sessions[1], lost=("3", "4"), unheard=unheard, broken=broken)
     assert eventually(lambda: meets(sessions[0]))
     for number in range(10):
         publisher.put(str(number))
