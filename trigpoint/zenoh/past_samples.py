@@ -23,7 +23,7 @@ _log = logging.getLogger(__name__)
 
 _PATIENCE_S = 5.0
 _AGAIN_S = 0.2
-"""How long a sender is asked, and how soon again where nobody answered."""
+"""How long a sender is asked from its latest answer on, and how soon again where none came."""
 _MOST_SENDERS = 4096
 _MOST_HELD = 4096
 """How many senders are remembered, and how many samples of one may wait for earlier ones."""
@@ -97,11 +97,14 @@ class History:
         zid, entity = sender
         with self._lock:
             latest = max(question.held)
+            while question.begin in question.held:
+                question.begin += 1
 
         def take(reply: zenoh.Reply) -> None:
             if (sample := reply.ok) is not None and (info := sample.source_info) is not None:
                 with self._lock:
                     question.is_answered |= info.source_sn == latest
+                    question.until_s = time.monotonic() + _PATIENCE_S
                     question.held.setdefault(info.source_sn, sample)
 
         try:
