@@ -23,8 +23,9 @@ from trigpoint.base.errors import BusError, ConfigError
 from trigpoint.contract import topics
 from trigpoint.site.config import BusConfig, endpoint_host, endpoint_port, is_loopback
 
-TRY_MS = ACCEPT_TIMEOUT_MS = 3000
-"""How long a handshake may take, at either end."""
+TRY_MS, ACCEPT_TIMEOUT_MS = 5000, 3000
+"""How long a handshake may take, for who connects and who accepts. With 3000 for both, nodes on a
+very busy machine and a network that loses packets did not find their way back to a router."""
 LOOPBACK = "tcp/127.0.0.1:0"
 MESSAGE_LIMIT_BYTES = 16 << 20
 BLOCK_LIMIT_US = 1_000_000
