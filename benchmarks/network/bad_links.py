@@ -208,9 +208,11 @@ def run(scenario: Scenario) -> dict[str, Key]:
         for node in nodes:
             sent |= json.loads(_line_of(node))
         acting.join()
-        for node in nodes:
-            _say(node, json.dumps(sent))
-        answers = [json.loads(_line_of(node)) for node in nodes]
+        # Fusion first: who left would take along what it keeps, and what still waits for its link.
+        answers = []
+        for role in sorted(scenario.roles, key=lambda role: role != "fusion"):
+            _say(site.nodes[role], json.dumps(sent))
+            answers.append(json.loads(_line_of(site.nodes[role])))
     return _keys(sent, answers)
 
 
