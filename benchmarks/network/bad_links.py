@@ -8,10 +8,12 @@ links what the scenario says, and returns what came of it.
 
     python -m benchmarks networks [NAME…]
     python -m benchmarks networks --minutes 60
+    python -m benchmarks networks --minutes 10 --every 24
 
 With minutes two sites run at the same time, so that whatever else the machine does delays both. On
 one each link loses 5 % of the packets, and every three minutes the router is killed and is away for
-three seconds; the other has neither. Corrections' 99th percentile there is the measure for here.
+three seconds (the first time once every cache is full); the other has neither. Corrections' 99th
+percentile there is the measure for here. Of the nodes it is said how memory and threads grew.
 """
 
 import json
@@ -23,7 +25,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -32,6 +34,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from benchmarks.timing import resident_mb
 from trigpoint.contract.access import Kind
 
 from .impairment import Impairment
@@ -42,7 +45,7 @@ _SETTLE_S = 1.0
 """After all are connected: until each has learnt of the others' subscriptions."""
 _SEGMENTS = ("camera", "robot", "fusion")
 _PEOPLE = ((Kind.CAMERA, "c1"), (Kind.ROBOT, "r1"), (Kind.FUSION, "fusion"), (Kind.VIEWER, "bob"))
-_EVERY_S, _DEAD_S = 180.0, 3.0
+_EVERY_S, _DEAD_S, _FULL_S = 180.0, 3.0, 120.0
 _LAST_S = 30.0
 """From the router's last return to the end: who says nothing more is not asked for what it said."""
 _LINGER_S = 25.0
@@ -116,6 +119,7 @@ class Site:
         self.links = self._segments.links
         self._write(scenario.picture_rate)
         self._router: subprocess.Popen[str] | None = None
+        self.nodes: dict[str, subprocess.Popen[str]] = {}
 
     def _write(self, rate: float) -> None:
         addresses = self._segments.addresses
@@ -156,7 +160,15 @@ class Site:
         )
         self._stack.callback(node.wait)
         self._stack.callback(node.kill)
+        self.nodes[role] = node
         return node
+
+    def sizes(self) -> dict[str, tuple[float, int]]:
+        """Of each node: resident memory in MB, and threads."""
+        return {
+            role: (resident_mb(node.pid), len(list(Path(f"/proc/{node.pid}/task").iterdir())))
+            for role, node in self.nodes.items()
+        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,9 +208,11 @@ def run(scenario: Scenario) -> dict[str, Key]:
         for node in nodes:
             sent |= json.loads(_line_of(node))
         acting.join()
-        for node in nodes:
-            _say(node, json.dumps(sent))
-        answers = [json.loads(_line_of(node)) for node in nodes]
+        # Fusion first: who left would take along what it keeps, and what still waits for its link.
+        answers = []
+        for role in sorted(scenario.roles, key=lambda role: role != "fusion"):
+            _say(site.nodes[role], json.dumps(sent))
+            answers.append(json.loads(_line_of(site.nodes[role])))
     return _keys(sent, answers)
 
 
@@ -269,17 +283,25 @@ def line(name: str, key: Key) -> str:
     )
 
 
-def restarting(
-    every_s: float, dead_s: float, times: int, returns_s: list[float]
-) -> Callable[[Site], None]:
-    """An action: the router's power is cut again and again; `returns_s` gets when it was back."""
+@dataclass(slots=True)
+class Restarts:
+    """An action: the router's power is cut again and again. `returns_s`: when it was back; `sizes`:
+    of the nodes just before each cut and at the end."""
 
-    def act(site: Site) -> None:
-        for _ in range(times):
-            killing(every_s - dead_s, dead_s)(site)
-            returns_s.append(time.monotonic())
+    every_s: float
+    until_s: float
+    returns_s: list[float] = field(default_factory=list)
+    sizes: list[dict[str, tuple[float, int]]] = field(default_factory=list)
 
-    return act
+    def __call__(self, site: Site) -> None:
+        first_s = max(self.every_s, _FULL_S)
+        time.sleep(first_s - _DEAD_S)
+        for _ in range(1 + int((self.until_s - first_s) // self.every_s)):
+            self.sizes.append(site.sizes())
+            killing(0.0, _DEAD_S)(site)
+            self.returns_s.append(time.monotonic())
+            time.sleep(self.every_s - _DEAD_S)
+        self.sizes.append(site.sizes())
 
 
 BAD = Impairment(delay_s=0.05, loss=0.05, bits_per_s=20e6)
@@ -304,30 +326,29 @@ SCENARIOS: dict[str, Scenario] = {
 }
 
 
-def twins(seconds: float, returns_s: list[float]) -> dict[str, dict[str, Key]]:
-    """What came of each key, in the site that is disturbed and in the one that is not.
-
-    `returns_s` gets when the router was switched on again, each time.
-    """
-    times = int((seconds - _LAST_S) // _EVERY_S)
-    action = restarting(_EVERY_S, _DEAD_S, times, returns_s)
-    bad = Scenario(BAD, seconds=seconds, action=action, linger_s=_LINGER_S, protocols=DATAGRAMS)
+def twins(seconds: float, restarts: Restarts) -> dict[str, dict[str, Key]]:
+    """What came of each key, in the site that is disturbed and in the one that is not."""
+    bad = Scenario(BAD, seconds=seconds, action=restarts, linger_s=_LINGER_S, protocols=DATAGRAMS)
     good = replace(bad, impairment=replace(BAD, loss=0.0), action=bool)
     with ThreadPoolExecutor(2) as threads:
         disturbed, undisturbed = threads.map(run, (bad, good))
     return {"disturbed": disturbed, "undisturbed": undisturbed}
 
 
-def _tell_twins(minutes: float) -> None:
-    returns_s: list[float] = []
-    found = twins(60 * minutes, returns_s)
+def _tell_twins(minutes: float, every_s: float) -> None:
+    restarts = Restarts(every_s, 60 * minutes - _LAST_S)
+    found = twins(60 * minutes, restarts)
     for site, keys in found.items():
         print(site)
         for name, key in sorted(keys.items()):
             print(f"  {line(name, key)}, uncounted {key.uncounted}")
     for name, key in sorted(found["disturbed"].items()):
-        each = ", ".join(f"{key.back_s(mended_s):.1f}" for mended_s in returns_s)
-        print(f"{name} back after the router's return: {each} s")
+        back_s = [key.back_s(mended_s) for mended_s in restarts.returns_s]
+        each = ", ".join(f"{one:.1f}" for one in back_s)
+        print(f"{name} back after the router's return, at most {max(back_s):.1f}: {each} s")
+    for role in restarts.sizes[0]:
+        each = ", ".join("{:.1f} MB {}".format(*sizes[role]) for sizes in restarts.sizes)
+        print(f"{role}'s memory and threads before each cut and at the end: {each}")
     late_s, twins_s = (keys["correction"].quantile_s(0.99) for keys in found.values())
     print(f"corrections' p99 over undisturbed: {late_s / twins_s:.2f}")
     print(f"load of the last quarter of an hour: {os.getloadavg()[2]:.1f}")
@@ -340,10 +361,11 @@ def main(
     minutes: Annotated[
         float | None, typer.Option(help="Of loss and restarts, beside an undisturbed twin.")
     ] = None,
+    every: Annotated[float, typer.Option(help="Seconds from restart to restart.")] = _EVERY_S,
 ) -> None:
     """Every scenario or some, a line for each key."""
     if minutes is not None:
-        _tell_twins(minutes)
+        _tell_twins(minutes, every)
         return
     for name in names or SCENARIOS:
         print(name, flush=True)

@@ -23,8 +23,9 @@ from trigpoint.base.errors import BusError, ConfigError
 from trigpoint.contract import topics
 from trigpoint.site.config import BusConfig, endpoint_host, endpoint_port, is_loopback
 
-CLIENT_TRY_MS = 1500
-ACCEPT_TIMEOUT_MS = 3000
+TRY_MS, ACCEPT_TIMEOUT_MS = 5000, 3000
+"""How long a handshake may take, for who connects and who accepts. With 3000 for both, nodes on a
+very busy machine and a network that loses packets did not find their way back to a router."""
 LOOPBACK = "tcp/127.0.0.1:0"
 MESSAGE_LIMIT_BYTES = 16 << 20
 BLOCK_LIMIT_US = 1_000_000
@@ -106,9 +107,13 @@ class Settings:
             "listen/endpoints": [_as_zenoh(endpoint) for endpoint in self.listen],
             "connect/endpoints": [_as_zenoh(endpoint) for endpoint in self.connect],
             "connect/retry": {"period_init_ms": 500, "period_max_ms": 1000},
-            # A client's first try ends after this; without it, one on a dead route took 10 s.
+            # A client tries once, and after a lost link again and again. With a limit for all that,
+            # of 1.5 s, a handshake that lost packets was given up and begun anew, five times in a
+            # row (100 ms, 5 % lost), and each link given up held up the router (`session`).
             # A peer opens at once and keeps trying on its own.
-            "connect/timeout_ms": {"client": CLIENT_TRY_MS, "peer": -1, "router": -1},
+            "connect/timeout_ms": {"client": 0, "peer": -1, "router": -1},
+            # A try on a dead route ends after this.
+            "transport/unicast/open_timeout": TRY_MS,
             "scouting/multicast/enabled": self.multicast is not None,
             "scouting/gossip/enabled": self.mode != "client",
             # Off by default for peers and clients; caches and recordings need them.

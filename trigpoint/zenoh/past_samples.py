@@ -1,13 +1,18 @@
-"""Fetches from a sender's cache what it sent before the first of its samples to arrive.
+"""Fetches from a sender's cache what did not come: what it sent before the first of its samples to
+arrive, and what is missing between two of them.
 
-Zenoh's subscriber (zenoh-ext 1.10.2) asks for that too, but if the next sample arrives while the
-answers to two queries overlap, it hands on only the tail and counts no loss. Seen with several
-senders on one key expression (one start in five), and with one (one in 25, on a busy machine).
+Zenoh's subscriber (zenoh-ext 1.10.2) asks for missing samples too, but only once: where a sample
+overtakes the news of who has the earlier ones, nobody answers, and they are lost. And if the next
+sample arrives while the answers to two queries overlap, it hands on only the tail and counts no
+loss. Seen with several senders on one key expression (one start in five), and with one (one in 25,
+on a busy machine). So here is asked again until the sender has answered, and here is counted.
 """
 
 import logging
 import threading
+import time
 from collections.abc import Callable
+from dataclasses import dataclass, field
 
 import zenoh
 from zenoh import ConsolidationMode, QueryTarget, ReplyKeyExpr
@@ -17,6 +22,8 @@ from .session import called_at_once
 _log = logging.getLogger(__name__)
 
 _PATIENCE_S = 5.0
+_AGAIN_S = 0.2
+"""How long a sender is asked from its latest answer on, and how soon again where none came."""
 _MOST_SENDERS = 4096
 _MOST_HELD = 4096
 """How many senders are remembered, and how many samples of one may wait for earlier ones."""
@@ -25,17 +32,36 @@ Sender = tuple[str, int]
 """The session's identifier, and the number of the publisher within it."""
 
 
+@dataclass(slots=True)
+class _Question:
+    """What of `key` is asked for: from number `begin` to the latest of the samples, by number, that
+    wait in `held` meanwhile."""
+
+    key: str
+    begin: int
+    held: dict[int, zenoh.Sample]
+    until_s: float = field(default_factory=lambda: time.monotonic() + _PATIENCE_S)
+    is_answered: bool = False
+    timer: threading.Timer | None = None
+
+
 class History:
-    """Hands on each sender's samples from the first that it still keeps (`depth` samples back);
-    samples without a sequence number are handed on as they arrive. Called on Zenoh's threads."""
+    """Hands on each sender's samples in order, from the first that it still keeps (`depth` samples
+    back), and tells `miss` how many never came; samples without a sequence number are handed on as
+    they arrive. Called on Zenoh's threads."""
 
     def __init__(
-        self, session: zenoh.Session, depth: int, hand_on: Callable[[zenoh.Sample], None]
+        self,
+        session: zenoh.Session,
+        depth: int,
+        hand_on: Callable[[zenoh.Sample], None],
+        miss: Callable[[int], None],
     ) -> None:
-        self._session, self._depth, self._hand_on = session, depth, hand_on
+        self._session, self._depth, self._hand_on, self._miss = session, depth, hand_on, miss
         self._lock = threading.Lock()
-        self._known: dict[Sender, None] = {}
-        self._waiting: dict[Sender, dict[int, zenoh.Sample]] = {}
+        self._next: dict[Sender, int] = {}
+        self._questions: dict[Sender, _Question] = {}
+        self._is_closed = False
 
     def receive(self, sample: zenoh.Sample) -> None:
         """Hand a sample on, at once or after the earlier ones."""
@@ -43,55 +69,87 @@ class History:
         if info is None:
             self._hand_on(sample)
             return
-        sender = (str(info.source_id.zid), info.source_id.eid)
+        sender, number = (str(info.source_id.zid), info.source_id.eid), info.source_sn
         with self._lock:
-            is_new = sender not in self._known
-            if is_new:
-                self._remember(sender)
-            if is_new and info.source_sn > 0:
-                self._waiting[sender] = {}
-            waiting = self._waiting.get(sender)
-            if waiting is None:
-                self._hand_on(sample)
+            if (question := self._questions.get(sender)) is not None:
+                if len(question.held) < _MOST_HELD:
+                    question.held[number] = sample
                 return
-            if len(waiting) < _MOST_HELD:
-                waiting[info.source_sn] = sample
-        if is_new:
-            self._ask(sender, str(sample.key_expr), info.source_sn)
+            expected = self._next.get(sender, 0)
+            if number <= expected:
+                self._pass(sender, {number: sample}, expected)
+                return
+            begin = max(expected, number - self._depth)
+            question = _Question(str(sample.key_expr), begin, {number: sample})
+            self._questions[sender] = question
+        self._ask(sender, question)
 
-    def _remember(self, sender: Sender) -> None:
-        self._known[sender] = None
-        if len(self._known) > _MOST_SENDERS:
-            del self._known[next(iter(self._known))]
+    def close(self) -> None:
+        """Ask no more."""
+        with self._lock:
+            self._is_closed = True
+            for question in self._questions.values():
+                if question.timer is not None:
+                    question.timer.cancel()
 
-    def _ask(self, sender: Sender, key: str, before: int) -> None:
-        zid, number = sender
-        numbers = f"_sn={max(0, before - self._depth)}..{before - 1}"
+    def _ask(self, sender: Sender, question: _Question) -> None:
+        """Ask for the latest that came, too: its sender has it, and answers with it last."""
+        zid, entity = sender
+        with self._lock:
+            latest = max(question.held)
+            while question.begin in question.held:
+                question.begin += 1
 
         def take(reply: zenoh.Reply) -> None:
-            if (sample := reply.ok) is None or (info := sample.source_info) is None:
-                return
-            with self._lock:
-                if sender in self._waiting:
-                    self._waiting[sender].setdefault(info.source_sn, sample)
+            if (sample := reply.ok) is not None and (info := sample.source_info) is not None:
+                with self._lock:
+                    question.is_answered |= info.source_sn == latest
+                    question.until_s = time.monotonic() + _PATIENCE_S
+                    question.held.setdefault(info.source_sn, sample)
 
         try:
             self._session.get(
-                f"{key}/@adv/*/{zid}/{number}/**?{numbers}",
-                called_at_once(take, end=lambda: self._end(sender)),
+                f"{question.key}/@adv/*/{zid}/{entity}/**?_sn={question.begin}..{latest}",
+                called_at_once(take, end=lambda: self._end(sender, question)),
                 target=QueryTarget.ALL,
                 consolidation=ConsolidationMode.NONE,
                 accept_replies=ReplyKeyExpr.ANY,
                 timeout=_PATIENCE_S,
             )
         except zenoh.ZError as reason:
-            _log.warning(
-                "what was sent on %s before %d cannot be asked for: %s", key, before, reason
-            )
-            self._end(sender)
+            _log.warning("what was sent on %s cannot be asked for: %s", question.key, reason)
+            self._end(sender, question)
 
-    def _end(self, sender: Sender) -> None:
-        """Hand on the waiting samples in order; later ones follow them."""
+    def _end(self, sender: Sender, question: _Question) -> None:
+        """Hand on the waiting samples, which later ones follow; or ask again, if the answer never
+        came or broke off."""
         with self._lock:
-            for _, sample in sorted(self._waiting.pop(sender, {}).items()):
-                self._hand_on(sample)
+            if self._is_closed:
+                return
+            if not question.is_answered and time.monotonic() < question.until_s:
+                question.timer = threading.Timer(_AGAIN_S, self._ask, (sender, question))
+                question.timer.daemon = True
+                question.timer.start()
+                return
+            del self._questions[sender]
+            self._pass(sender, question.held, self._expected(sender, question.held))
+
+    def _expected(self, sender: Sender, held: dict[int, zenoh.Sample]) -> int:
+        """The number that comes next; of a new sender the first that it must still keep, or, where
+        some may have made room, the first that came."""
+        from_start = 0 if max(held) < self._depth else min(held)
+        return self._next.get(sender, from_start)
+
+    def _pass(self, sender: Sender, samples: dict[int, zenoh.Sample], expected: int) -> None:
+        """Hand samples on in order, without those that were; the caller holds the lock."""
+        for number, sample in sorted(samples.items()):
+            if number < expected:
+                continue
+            if number > expected:
+                self._miss(number - expected)
+            self._hand_on(sample)
+            expected = number + 1
+        self._next.pop(sender, None)  # so that who has been silent for longest is forgotten first
+        self._next[sender] = expected
+        if len(self._next) > _MOST_SENDERS:
+            del self._next[next(iter(self._next))]

@@ -1,6 +1,5 @@
 """A publisher on one key, with the topic's delivery."""
 
-import time
 from collections.abc import Callable
 from functools import partial
 
@@ -10,16 +9,17 @@ from zenoh import ext
 from trigpoint.base.errors import BusError
 from trigpoint.bus.bus import Closable
 from trigpoint.bus.outbox import Outbox
-from trigpoint.bus.reunion import Reunion
 from trigpoint.contract.topics import Delivery, Topic
 
 from .datagrams import Datagrams, Lasting
-from .session import FLUSH_S, has_link, plain, quality_of
+from .session import FLUSH_S, plain, quality_of
 
-_HEARTBEAT_S = 0.5
-_ANNOUNCE_S = 0.05
-"""A subscriber that gets a new publisher's live sample before its token takes that sample for the
-first, and never asks for the earlier ones (one start in forty, if both begin at the same time)."""
+_DETECTION = {
+    Delivery.RECOVERED: ext.MissDetectionConfig(heartbeat=1.0, sporadic_heartbeat=None),
+    Delivery.LAST_VALUE: ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=0.5),
+}
+"""How subscribers learn that the latest sample is missing. Who fell silent during a break has to go
+on telling; of a last value its sender's token is enough."""
 
 Forget = Callable[[Closable], bool]
 """Tells the bus that a declaration is withdrawn; false if it already was."""
@@ -39,7 +39,6 @@ class ZenohPublisher:
     ) -> None:
         self._session, self._key, self._outbox, self._closed = session, key, outbox, closed
         self._matching: zenoh.Publisher | None = None
-        self._reunion: Reunion | None = None
         self._is_closed = False
         self._datagrams = datagrams if topic.delivery is Delivery.URGENT else None
         self._copies = self._datagrams.publisher(topic, key) if self._datagrams else None
@@ -54,23 +53,16 @@ class ZenohPublisher:
                         congestion_control=quality["congestion_control"]
                     ),
                 ),
-                sample_miss_detection=ext.MissDetectionConfig(
-                    heartbeat=None, sporadic_heartbeat=_HEARTBEAT_S
-                ),
+                sample_miss_detection=_DETECTION[topic.delivery],
                 publisher_detection=True,
                 **quality,
             )
-            if topic.delivery is Delivery.RECOVERED:
-                time.sleep(_ANNOUNCE_S)
-                self._reunion = Reunion(lambda: has_link(session))
         else:
             self._publisher = self._matching = session.declare_publisher(key, **quality)
 
     def put(self, payload: bytes, *, attachment: bytes = b"") -> None:
         if self._is_closed:
             raise BusError(f"nothing can be sent on {self._key}: its publisher is closed")
-        if self._reunion is not None and (wait_s := self._reunion.wait_s) > 0:
-            self._outbox.hold(wait_s)
         stamp = None
         if self._datagrams is not None and self._copies is not None:
             stamp = self._session.new_timestamp()  # the same in all copies, so that one counts

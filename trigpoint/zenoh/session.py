@@ -5,6 +5,7 @@ with a busy interpreter, the worst wait was 12 ms; Zenoh's own callback threads 
 queues took 44 to 410 ms and kept the program from ending.
 """
 
+import ctypes
 import json
 import os
 import sys
@@ -20,10 +21,17 @@ from trigpoint.bus.settings import Settings
 from trigpoint.contract.topics import Delivery, Topic
 
 _SWITCH_INTERVAL_S = 0.001
-_RUNTIME = "(rx: (worker_threads: 8))"
+_ARENA_MAX, _ARENAS = -8, 2
+"""mallopt's parameter, and how many heaps: each reconnection allocates megabytes on whichever of
+twenty threads, and with glibc's default each had a heap that grew to the most of it."""
+_RUNTIME = "(rx: (worker_threads: 8), acc: (worker_threads: 4), net: (worker_threads: 2))"
 """A peer that does not read blocks one of the receiving threads for up to 10 s while it is being
 sent the history that it asked for. With two threads, Zenoh's default, two such peers held up
-everything (measured: commands unanswered for 10 s beside a stopped subscriber)."""
+everything (measured: commands unanswered for 10 s beside a stopped subscriber).
+And closing a TCP link waits until the other end has acknowledged what was sent (`SO_LINGER`,
+Zenoh's issues 1101 and 2350). With one thread that accepts, Zenoh's default, everything that a
+router relays stood still meanwhile (measured with 100 ms of delay and 5 % of loss: 0.3 to 0.6 s at
+a time, that thread in `close`)."""
 FLUSH_S = 0.5
 CLOSE_S = 5.0
 """Time limits for sending what is left, and for closing as a whole, if the process was not told to
@@ -59,6 +67,8 @@ def open_session(settings: Settings) -> zenoh.Session:
     """Open a Zenoh session; raise BusError."""
     # How long receiving threads wait for the interpreter while another thread computes.
     sys.setswitchinterval(_SWITCH_INTERVAL_S)
+    if (mallopt := getattr(ctypes.CDLL(None), "mallopt", None)) is not None:  # glibc's
+        mallopt(_ARENA_MAX, _ARENAS)
     os.environ.setdefault("ZENOH_RUNTIME", _RUNTIME)  # read when the first session opens
     config = zenoh.Config()
     try:

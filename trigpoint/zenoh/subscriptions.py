@@ -29,24 +29,30 @@ def subscribe(
 
     if not topic.cache:
         return session.declare_subscriber(expression, called_at_once(receive)).undeclare
+    history = None
     if topic.delivery is Delivery.RECOVERED:  # others keep only the last value
-        receive = History(session, topic.cache, receive).receive
+        history = History(session, topic.cache, receive, queue.miss)
     subscriber = ext.declare_advanced_subscriber(
         session,
         expression,
-        called_at_once(receive),
-        history=ext.HistoryConfig(detect_late_publishers=True, max_samples=topic.cache),
+        called_at_once(history.receive if history else receive),
+        # A sender that Zenoh detects is asked for all that it keeps, after each break again;
+        # History asks only for what is missing.
+        history=ext.HistoryConfig(detect_late_publishers=not history, max_samples=topic.cache),
         recovery=ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
     )
 
     def miss(missed: ext.Miss) -> None:
         queue.miss(missed.nb)
 
-    listener = subscriber.sample_miss_listener(called_at_once(miss))
+    listener = None if history else subscriber.sample_miss_listener(called_at_once(miss))
 
     def undeclare() -> None:
-        listener.undeclare()
+        if listener:
+            listener.undeclare()
         subscriber.undeclare()
+        if history:
+            history.close()
 
     return undeclare
 

@@ -2,15 +2,19 @@ import gc
 import logging
 import socket
 import threading
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 
 import pytest
 from support.builders import eventually, make_site
 
 from trigpoint.base.errors import BusError
+from trigpoint.bus.bus import Subscription
 from trigpoint.bus.gate import Gate
+from trigpoint.bus.settings import Settings
 from trigpoint.contract.topics import ODOMETRY, TF
-from trigpoint.zenoh import open_bus
+from trigpoint.zenoh import ZenohBus, open_bus, open_session
 
 
 def test_unreachable_endpoint_elsewhere_is_named_when_patience_ends() -> None:
@@ -18,6 +22,79 @@ def test_unreachable_endpoint_elsewhere_is_named_when_patience_ends() -> None:
     site = make_site(bus='connect = ["tcp/198.51.100.1:9"]')
     with pytest.raises(BusError, match=r"cannot reach tcp/198\.51\.100\.1:9 \(bus\.connect\)"):
         open_bus(site, patience_s=0.0)
+
+
+def test_handshake_of_nearly_two_seconds_is_not_given_up(
+    free_port: Callable[[], int],
+) -> None:
+    port = free_port()
+    with (
+        open_session(Settings("router", (f"tcp/127.0.0.1:{port}",))) as router,
+        delayed(port, 0.45) as slow,
+        open_session(Settings("client", connect=(f"tcp/127.0.0.1:{slow}",))) as client,
+    ):
+        assert client.info.routers_zid() == [router.zid()]
+
+
+@pytest.mark.parametrize("goes_on", [True, False])
+def test_what_was_sent_while_the_router_was_away_comes_once_and_in_order(
+    free_port: Callable[[], int], *, goes_on: bool
+) -> None:
+    """Whether its sender goes on or has fallen silent."""
+    endpoint = (f"tcp/127.0.0.1:{free_port()}",)
+    client, key = Settings("client", connect=endpoint), "lab/robot/r1/odom"
+    router = open_session(Settings("router", endpoint))
+    with ZenohBus(open_session(client)) as sender, ZenohBus(open_session(client)) as hearer:
+        came, publisher = hearer.subscribe(ODOMETRY, key), sender.publisher(ODOMETRY, key)
+        assert eventually(lambda: publisher.has_listener)
+        publisher.put(b"0")
+        assert taken(came) == b"0"
+        router.close()
+        assert eventually(lambda: not (sender.peers or hearer.peers))
+        for number in range(1, 5):
+            publisher.put(b"%d" % number)
+        with open_session(Settings("router", endpoint)):
+            if goes_on:
+                assert eventually(lambda: bool(sender.peers))
+                publisher.put(b"5")
+            expected = [b"%d" % number for number in range(1, 6 if goes_on else 5)]
+            assert [taken(came) for _ in expected] == expected
+    assert came.take(0.0) is None
+    assert came.dropped == 0
+
+
+def taken(subscription: Subscription) -> bytes:
+    sample = subscription.take(30.0)
+    assert sample is not None
+    return sample.payload
+
+
+@contextmanager
+def delayed(port: int, delay_s: float) -> Iterator[int]:
+    """A port of this machine that leads to another, each way so much later, for one connection."""
+
+    def bring(source: socket.socket, sink: socket.socket) -> None:
+        with suppress(OSError):
+            while data := source.recv(1 << 16):
+                time.sleep(delay_s)
+                sink.sendall(data)
+        for end in (source, sink):
+            with suppress(OSError):
+                end.shutdown(socket.SHUT_RDWR)
+
+    def accept() -> None:
+        near, _ = server.accept()
+        with near, socket.create_connection(("127.0.0.1", port)) as far:
+            back = threading.Thread(target=bring, args=(far, near))
+            back.start()
+            bring(near, far)
+            back.join()
+
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        thread = threading.Thread(target=accept)
+        thread.start()
+        yield server.getsockname()[1]
+        thread.join()
 
 
 def test_peer_waits_for_a_meeting_point_that_comes_later(free_port: Callable[[], int]) -> None:

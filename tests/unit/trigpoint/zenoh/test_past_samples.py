@@ -1,7 +1,9 @@
-"""Samples are handed on from their sender's first, whenever a subscriber meets them."""
+"""Samples are handed on from their sender's first and without gaps, whenever a subscriber meets
+them; what never comes is counted."""
 
 import json
-from collections.abc import Callable, Iterator
+import threading
+from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack
 
 import pytest
@@ -41,12 +43,51 @@ def sender(session: zenoh.Session) -> ext.AdvancedPublisher:
     )
 
 
+class Listener:
+    """What a History hands on that a plain subscriber feeds, which never asks for anything, with
+    samples `lost` on the way; the History's first `unheard` questions reach nobody, and the answers
+    to the next `broken` ones have their first sample alone."""
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        *,
+        lost: Collection[str] = (),
+        unheard: int = 0,
+        broken: int = 0,
+    ) -> None:
+        self.came: list[str] = []
+        self.missed = 0
+        self._session, self._lost = session, lost
+        self._turns = ["unheard"] * unheard + ["broken"] * broken
+        self.history = History(
+            self,  # pyright: ignore[reportArgumentType]
+            KEPT,
+            lambda sample: self.came.append(sample.payload.to_string()),
+            self._miss,
+        )
+        session.declare_subscriber(KEY, called_at_once(self._receive))
+
+    def get(self, selector: str, *words: object, **options: object) -> None:
+        """Stands for the session's."""
+        if (turn := self._turns.pop(0) if self._turns else "") == "unheard":
+            selector = "nobody/here"
+        elif turn == "broken":
+            begin = selector.partition("_sn=")[2].partition("..")[0]
+            selector = f"{selector.partition('..')[0]}..{begin}"
+        self._session.get(selector, *words, **options)  # pyright: ignore
+
+    def _receive(self, sample: zenoh.Sample) -> None:
+        if sample.payload.to_string() not in self._lost:
+            self.history.receive(sample)
+
+    def _miss(self, count: int) -> None:
+        self.missed += count
+
+
 def listen(session: zenoh.Session) -> list[str]:
-    """What a History hands on that a plain subscriber feeds, which never asks for anything."""
-    came: list[str] = []
-    history = History(session, KEPT, lambda sample: came.append(sample.payload.to_string()))
-    session.declare_subscriber(KEY, called_at_once(history.receive))
-    return came
+    """What a History hands on."""
+    return Listener(session).came
 
 
 @pytest.mark.parametrize("before", [0, 1, KEPT])
@@ -65,6 +106,64 @@ def test_what_was_sent_before_comes_first(
     numbers = [int(text) for text in came]
     assert numbers == list(range(numbers[0], before + 10))
     assert numbers[0] <= max(0, before + 10 - KEPT)
+
+
+@pytest.mark.parametrize(("unheard", "broken"), [(0, 0), (2, 0), (0, 2), (1, 1)])
+def test_what_is_lost_in_between_is_asked_for_until_its_sender_answers(
+    sessions: tuple[zenoh.Session, zenoh.Session], unheard: int, broken: int
+) -> None:
+    publisher = sender(sessions[0])
+    listener = Listener(sessions[1], lost=("3", "4"), unheard=unheard, broken=broken)
+    assert eventually(lambda: meets(sessions[0]))
+    for number in range(10):
+        publisher.put(str(number))
+    assert eventually(lambda: listener.came[-1:] == ["9"])
+    assert listener.came == [str(number) for number in range(10)]
+    assert listener.missed == 0
+
+
+def test_what_its_sender_no_longer_keeps_is_counted(
+    sessions: tuple[zenoh.Session, zenoh.Session],
+) -> None:
+    publisher = sender(sessions[0])
+    lost = {str(number) for number in range(5, 105)}
+    listener = Listener(sessions[1], lost=lost)
+    assert eventually(lambda: meets(sessions[0]))
+    for number in range(106):
+        publisher.put(str(number))
+    assert eventually(lambda: listener.came[-1:] == ["105"])
+    assert len(listener.came) + listener.missed == 106
+    assert 106 - KEPT - 5 <= listener.missed <= 106 - KEPT
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_what_nobody_answers_for_is_counted(
+    sessions: tuple[zenoh.Session, zenoh.Session], first: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("trigpoint.zenoh.past_samples._PATIENCE_S", 0.5)
+    publisher = sender(sessions[0])
+    lost = [str(number) for number in range(first, 4)]
+    listener = Listener(sessions[1], lost=lost, unheard=1000)
+    assert eventually(lambda: meets(sessions[0]))
+    for number in range(6):
+        publisher.put(str(number))
+    assert eventually(lambda: listener.came[-1:] == ["5"])
+    assert listener.missed == len(lost)
+
+
+def test_closed_one_asks_no_more(
+    sessions: tuple[zenoh.Session, zenoh.Session], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("trigpoint.zenoh.past_samples._AGAIN_S", 3600.0)
+    publisher = sender(sessions[0])
+    listener = Listener(sessions[1], lost=("1",), unheard=1000)
+    assert eventually(lambda: meets(sessions[0]))
+    for number in range(3):
+        publisher.put(str(number))
+    timers = lambda: [t for t in threading.enumerate() if isinstance(t, threading.Timer)]  # noqa: E731
+    assert eventually(lambda: bool(timers()))
+    listener.history.close()
+    assert eventually(lambda: not timers())
 
 
 def test_senders_are_told_apart(sessions: tuple[zenoh.Session, zenoh.Session]) -> None:
