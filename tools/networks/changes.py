@@ -16,8 +16,9 @@ from trigpoint.base.errors import InputError
 from trigpoint.base.terminal import table
 from trigpoint.geometry import Pose
 from trigpoint.geometry.chi_square import chi2_limit, chi2_tail
-from trigpoint.geometry.rotation import Array, exp, log
-from trigpoint.map.network import CameraRecord, Network
+from trigpoint.geometry.rotation import Array, exp
+from trigpoint.geometry.uncertainty import lever, turned_axes
+from trigpoint.map.network import Network
 
 _DIMENSIONS = 6
 _CHANCE = 1e-3
@@ -40,12 +41,19 @@ class Change:
     has_moved: bool
 
 
-@dataclass(frozen=True, slots=True)
-class _Pair:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pairs:
+    """Cameras (n) in both networks: their poses and covariances (n, 6, 6)."""
+
     old: Pose
-    new: Pose
     old_covariance: Array
+    new: Pose
     new_covariance: Array
+
+    def where(self, chosen: Sequence[int]) -> "_Pairs":
+        rows = np.asarray(chosen)
+        old, new = self.old[rows], self.new[rows]
+        return _Pairs(old, self.old_covariance[rows], new, self.new_covariance[rows])
 
 
 def changes(old: Network, new: Network) -> list[Change]:
@@ -57,14 +65,14 @@ def changes(old: Network, new: Network) -> list[Change]:
             f"located in both networks: {len(names)}; at least {_FEWEST} cameras are needed to "
             "say which one moved"
         )
-    pairs = [_pair(old.cameras[name], new.cameras[name]) for name in names]
+    pairs = _Pairs(*_placed(old, names), *_placed(new, names))
     limit = chi2_limit(_DIMENSIONS, _CHANCE / len(names))
     stayed = _stayed(pairs, limit)
     found = []
-    for number, (name, pair) in enumerate(zip(names, pairs, strict=True)):
-        others = [pairs[i] for i in stayed if i != number]
-        new_from_old, covariance = _laid(others, pairs[stayed[0]])
-        left, spread = _left(pair, new_from_old, covariance)
+    for number, name in enumerate(names):
+        others = [i for i in stayed if i != number]
+        laid = _laid(pairs.where(others or stayed[:1]), _onto(pairs, stayed[0]))
+        [left], [spread] = _left(pairs.where([number]), *laid)
         distance = float(left @ np.linalg.solve(spread, left))
         found.append(
             Change(
@@ -118,74 +126,54 @@ def check_file(path: Path) -> Path:
     return path
 
 
-def _pair(old: CameraRecord, new: CameraRecord) -> _Pair:
-    assert old.map_from_camera is not None
-    assert new.map_from_camera is not None
+def _placed(network: Network, names: Sequence[str]) -> tuple[Pose, Array]:
+    """Where located cameras are: poses (n) and covariances (n, 6, 6)."""
+    records = [network.cameras[name] for name in names]
+    poses = [r.map_from_camera.pose for r in records if r.map_from_camera is not None]
     # If both take something as known without error, only rounding remains.
     rounding = 1e-12 * np.eye(_DIMENSIONS)
-    return _Pair(
-        old.map_from_camera.pose,
-        new.map_from_camera.pose,
-        old.covariance_matrix + rounding,
-        new.covariance_matrix + rounding,
-    )
+    return Pose.stack(poses), np.array([r.covariance_matrix for r in records]) + rounding
 
 
-def _stayed(pairs: Sequence[_Pair], limit: float) -> list[int]:
+def _stayed(pairs: _Pairs, limit: float) -> list[int]:
     """Indices of the largest set of cameras that agree with one of them; that one first."""
     best: tuple[int, float, list[int]] = (0, 0.0, [])
-    for seed, pair in enumerate(pairs):
-        new_from_old, covariance = _laid([], pair)
-        distances = {}
-        for number, other in enumerate(pairs):
-            if number != seed:
-                left, spread = _left(other, new_from_old, covariance)
-                distances[number] = float(left @ np.linalg.solve(spread, left))
-        agreeing = [number for number, value in distances.items() if value < limit]
-        score = (len(agreeing), -sum(distances[number] for number in agreeing))
+    for seed in range(len(pairs.old)):
+        left, spread = _left(pairs, *_laid(pairs.where([seed]), _onto(pairs, seed)))
+        distances = np.sum(left * np.linalg.solve(spread, left[..., None])[..., 0], axis=-1)
+        agreeing = [i for i in np.flatnonzero(distances < limit).tolist() if i != seed]
+        score = (len(agreeing), -float(distances[agreeing].sum()))
         if score > best[:2] or not best[2]:
             best = (*score, [seed, *agreeing])
     return best[2]
 
 
-def _laid(pairs: Sequence[_Pair], seed: _Pair) -> tuple[Pose, Array]:
-    """new_from_old and its covariance (6, 6) by least squares over the pairs, starting from the
-    seed's; by the seed alone if there are none."""
-    chosen = list(pairs) or [seed]
-    new_from_old = seed.new @ seed.old.inverse()
+def _onto(pairs: _Pairs, number: int) -> Pose:
+    """new_from_old by which one camera stayed where it was."""
+    return pairs.new[number] @ pairs.old[number].inverse()
+
+
+def _laid(pairs: _Pairs, new_from_old: Pose) -> tuple[Pose, Array]:
+    """new_from_old and its covariance (6, 6) by least squares over the pairs, from a first one."""
     information = np.eye(_DIMENSIONS)
     for _ in range(_ROUNDS):
-        information = np.zeros((_DIMENSIONS, _DIMENSIONS))
-        gradient = np.zeros(_DIMENSIONS)
-        for pair in chosen:
-            left, spread = _left(pair, new_from_old, np.zeros((_DIMENSIONS, _DIMENSIONS)))
-            derivative = _derivative(new_from_old @ pair.old)
-            weighted = np.linalg.solve(spread, derivative).T
-            information += weighted @ derivative
-            gradient += weighted @ left
-        step = np.linalg.solve(information, gradient)
-        turn = exp(step[3:])
-        new_from_old = Pose(turn, step[:3]) @ new_from_old
+        left, spread = _left(pairs, new_from_old, np.zeros((_DIMENSIONS, _DIMENSIONS)))
+        derivative = lever((new_from_old @ pairs.old).translation)
+        weighted = np.swapaxes(np.linalg.solve(spread, derivative), -1, -2)
+        information = np.sum(weighted @ derivative, axis=0)
+        step = np.linalg.solve(information, np.sum(weighted @ left[..., None], axis=0)[..., 0])
+        new_from_old = Pose(exp(step[3:]), step[:3]) @ new_from_old
         if np.abs(step).max() < _SETTLED:
             break
     return new_from_old, np.linalg.inv(information)
 
 
-def _left(pair: _Pair, new_from_old: Pose, covariance: Array) -> tuple[Array, Array]:
-    """A camera's difference in the new map (6,), metres and radians, and its covariance."""
-    expected = new_from_old @ pair.old
-    turn = log(pair.new.rotation @ expected.rotation.T)
-    left = np.concatenate([pair.new.translation - expected.translation, turn])
-    turned = np.zeros((_DIMENSIONS, _DIMENSIONS))
-    turned[:3, :3] = turned[3:, 3:] = new_from_old.rotation
-    derivative = _derivative(expected)
-    spread = pair.new_covariance + turned @ pair.old_covariance @ turned.T
-    return left, spread + derivative @ covariance @ derivative.T
-
-
-def _derivative(pose: Pose) -> Array:
-    """Of a pose by a twist of the map about its origin: δt + δθ × t, δθ."""
-    x, y, z = pose.translation
-    derivative = np.eye(_DIMENSIONS)
-    derivative[:3, 3:] = -np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return derivative
+def _left(pairs: _Pairs, new_from_old: Pose, covariance: Array) -> tuple[Array, Array]:
+    """The cameras' differences in the new map (n, 6), metres and radians, and their covariances
+    (n, 6, 6); `covariance` (6, 6): new_from_old's."""
+    expected = new_from_old @ pairs.old
+    turned = turned_axes(new_from_old.rotation)
+    spread = pairs.new_covariance + turned @ pairs.old_covariance @ turned.T
+    moved = lever(expected.translation)
+    spread = spread + moved @ covariance @ np.swapaxes(moved, -1, -2)
+    return pairs.new.difference(expected), spread

@@ -183,15 +183,16 @@ def make_session(plan: Plan) -> Session:
     return Session(plan, _inputs(plan), tuple((n, m) for *_, n, m in found), truth)
 
 
-def with_moved(plan: Plan, camera: str, pose: Pose, at_s: float) -> Session:
-    """A session in which a camera hangs elsewhere from a moment on."""
+def with_moved(session: Session, camera: str, pose: Pose, at_s: float) -> Session:
+    """The same session, but that a camera hangs elsewhere from a moment on."""
+    plan = session.plan
     moved = {**plan.cameras, camera: replace(plan.cameras[camera], map_from_camera=pose)}
-    before, after = make_session(plan), make_session(replace(plan, cameras=moved))
     at_ns = EPOCH_NS + to_ns(at_s)
-    kept = [m for m in before.messages if m[0] != camera or m[1].stamp_ns < at_ns]
-    kept += [m for m in after.messages if m[0] == camera and m[1].stamp_ns >= at_ns]
+    kept = [m for m in session.messages if m[0] != camera or m[1].stamp_ns < at_ns]
+    after = _pictures_of_one(replace(plan, cameras=moved), camera, session.truth)
+    kept += [m for m in after if m[1].stamp_ns >= at_ns]
     kept.sort(key=lambda sent: (sent[1].stamp_ns, not isinstance(sent[1], Odometry)))
-    return replace(before, messages=tuple(kept))
+    return replace(session, messages=tuple(kept))
 
 
 def _truth(robot: RobotPlan, reported: Pose, random: np.random.Generator) -> Pose:
@@ -202,17 +203,14 @@ def _truth(robot: RobotPlan, reported: Pose, random: np.random.Generator) -> Pos
 
 def pictures_of(plan: Plan, truth: dict[str, Pose]) -> list[tuple[str, Sightings]]:
     """What the cameras see of robots on these ways."""
-    found = []
-    for number, name in enumerate(plan.cameras):
-        random = np.random.default_rng([plan.seed, 100, number])
-        found += [(name, m) for m in _pictures(plan, name, number, truth, random)]
-    return found
+    return [sent for name in plan.cameras for sent in _pictures_of_one(plan, name, truth)]
 
 
-def _pictures(
-    plan: Plan, name: str, number: int, truth: dict[str, Pose], random: np.random.Generator
-) -> Iterator[Sightings]:
-    camera = plan.cameras[name]
+def _pictures_of_one(
+    plan: Plan, name: str, truth: dict[str, Pose]
+) -> Iterator[tuple[str, Sightings]]:
+    camera, number = plan.cameras[name], list(plan.cameras).index(name)
+    random = np.random.default_rng([plan.seed, 100, number])
     every = round(1 / plan.picture_rate / STEP_S)
     moments = np.arange(3 * number + 1, round(plan.seconds / STEP_S), every)
     where = (camera.map_from_camera, camera.lens, ())
@@ -227,7 +225,7 @@ def _pictures(
                 sighting = _sighting(plan, its.target, seen, random)
                 faces += [sighting] if sighting else []
         stamp_ns = EPOCH_NS + index * to_ns(STEP_S) + to_ns(camera.time_offset_s)
-        yield Sightings(stamp_ns, f"{name}/optical", 640, 480, tuple(faces))
+        yield name, Sightings(stamp_ns, f"{name}/optical", 640, 480, tuple(faces))
 
 
 def _sighting(

@@ -24,6 +24,7 @@ from support.oracle.verdict import Explanation, Scored, Verdict, apart, verdict_
 from support.oracle.views import Label, Look, Priors, Reading, corners_of, readings_of, residuals
 
 from trigpoint.contract.messages import Odometry
+from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.site.config import OdometryNoise
 from trigpoint.site.target import Target
@@ -36,6 +37,7 @@ _REFINEMENTS = 3
 _AT_MINIMUM = 1e-6  # of χ²: a reading that nothing pulls is solved already
 # How much of a disagreement that is worked out to first order is counted on.
 _TRUST = 0.5
+_PARALLEL = 1e-12  # the sine of an angle about no axis of its own
 
 
 @dataclass(frozen=True, slots=True)
@@ -268,38 +270,44 @@ def _alone(readings: list[Reading], room: float) -> tuple[Array, Array, np.ndarr
 def _disagreement(first: list[Reading], second: list[Reading]) -> Array:
     """χ² that a camera's height and the vertical that it sees differ by, which no motion of a robot
     on a floor changes; (n, m) of two pictures' readings, 0 where all sightings are wrong."""
+    rows, (up, height, spread) = _upright(first)
+    columns, (up_too, height_too, spread_too) = _upright(second)
+    up, height, spread = up[:, None], height[:, None], spread[:, None]
+    axis = np.cross(up_too, up)
+    sine = np.linalg.norm(axis, axis=-1)
+    angle = np.arctan2(sine, np.sum(up * up_too, axis=-1))[..., None]
+    any_axis = angle * np.array([1.0, 0.0, 0.0])
+    turn = axis * (angle / np.maximum(sine, _PARALLEL)[..., None])
+    turn = np.where(sine[..., None] > _PARALLEL, turn, any_axis)
+    error = np.concatenate([turn, (height - height_too)[..., None]], axis=-1)
+    free = np.concatenate([up, np.zeros((len(rows), 1, 1))], axis=-1)  # the heading
+    information = np.linalg.inv(spread + spread_too)
+    weighted, open_one = ((information @ v[..., None])[..., 0] for v in (error, free))
+    along = np.sum(free * weighted, axis=-1)
     found = np.zeros((len(first), len(second)))
-    for i, one in enumerate(first):
-        for j, other in enumerate(second):
-            if one.covariance is not None and other.covariance is not None:
-                found[i, j] = _apart(one, other)
+    found[np.ix_(rows, columns)] = np.sum(error * weighted, axis=-1) - along**2 / np.sum(
+        free * open_one, axis=-1
+    )
     return found
 
 
-def _apart(one: Reading, other: Reading) -> float:
-    (up, height, spread), (up_too, height_too, spread_too) = _upright(one), _upright(other)
-    axis = np.cross(up_too, up)
-    sine = float(np.linalg.norm(axis))
-    angle = float(np.arctan2(sine, up @ up_too))
-    turn = axis * (angle / sine) if sine > 1e-12 else angle * np.array([1.0, 0.0, 0.0])
-    error = np.append(turn, height - height_too)
-    information = np.linalg.inv(spread + spread_too)
-    free = np.append(up, 0.0)  # the heading
-    along = free @ information @ error
-    return float(error @ information @ error - along**2 / (free @ information @ free))
-
-
-def _upright(reading: Reading) -> tuple[Array, float, Array]:
-    """The vertical in the camera's axes, the camera's height, and the covariance (4, 4) of a turn
-    of the first and of the second."""
-    pose, covariance = reading.camera_from_base, reading.covariance
-    assert pose is not None
-    assert covariance is not None
-    up = pose.rotation[:, 2]
-    by = np.zeros((4, 6))
-    by[:3, 3:] = np.eye(3)
-    by[3, :3], by[3, 3:] = -up, -np.cross(up, pose.translation)
-    return up, float(-up @ pose.translation), by @ covariance @ by.T
+def _upright(readings: list[Reading]) -> tuple[list[int], tuple[Array, Array, Array]]:
+    """The numbers (k) of those readings that not all sightings are wrong in; of each the vertical
+    in the camera's axes (k, 3), the camera's height (k,), and the covariance (k, 4, 4) of a turn of
+    the first and of the second."""
+    found = [
+        (number, reading.camera_from_base, reading.covariance)
+        for number, reading in enumerate(readings)
+        if reading.camera_from_base is not None and reading.covariance is not None
+    ]
+    pose = Pose.stack([pose for _, pose, _ in found])
+    covariance = np.array([covariance for *_, covariance in found]).reshape(-1, 6, 6)
+    up = pose.rotation[:, :, 2]
+    by = np.zeros((len(found), 4, 6))
+    by[:, :3, 3:] = np.eye(3)
+    by[:, 3, :3], by[:, 3, 3:] = -up, -np.cross(up, pose.translation)
+    height = -np.sum(up * pose.translation, axis=-1)
+    return [number for number, *_ in found], (up, height, by @ covariance @ np.swapaxes(by, 1, 2))
 
 
 def _distinct(scored: list[Scored]) -> list[Scored]:

@@ -219,18 +219,13 @@ def test_where_what_is_left_cannot_be_solved_the_past_holds(
 def test_moved_cameras_are_noticed_before_and_after_a_past() -> None:
     """c2 is moved in what becomes the past, and c3 long after it."""
     robots = {"r1": RobotPlan(circle(), target_of("charuco"))}
-    plan = Plan(lab_cameras(3), robots, seconds=72.0)
+    plan = Plan(lab_cameras(3), robots, seconds=58.0)
     truths = {name: camera.map_from_camera for name, camera in plan.cameras.items()}
-    for name in ("c2", "c3"):
+    session = make_session(plan)
+    for name, at_s in (("c2", 8.0), ("c3", 36.0)):
         truths[name] = Pose.planar(0.2, 0.0, 0.0) @ truths[name]
-    first, second = (
-        with_moved(plan, "c2", truths["c2"], 8.0),
-        with_moved(plan, "c3", truths["c3"], 52.0),
-    )
-    messages = [m for m in first.messages if m[0] != "c3"]
-    messages += [m for m in second.messages if m[0] == "c3"]
-    messages.sort(key=lambda sent: (sent[1].stamp_ns, sent[0] != "r1"))
-    live = Live(replace(first, messages=tuple(messages))).feed()
+        session = with_moved(session, name, truths[name], at_s)
+    live = Live(session).feed()
     network, past = live.network(), live.pipeline.past
     assert past is not None
     assert past.end_ns > EPOCH_NS + to_ns(20.0)

@@ -35,6 +35,7 @@ from trigpoint.fusion.checkpoint import Checkpoint, read_checkpoint
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.inbox import INPUT_TOPICS
 from trigpoint.fusion.intake.standstills import MOST_ALIKE
+from trigpoint.fusion.live import coverage_thread
 from trigpoint.fusion.model.odometry import MOST_STANDING
 from trigpoint.fusion.node import FusionNode
 from trigpoint.fusion.pipeline import Inputs, Pipeline
@@ -123,8 +124,9 @@ def received(subscription: Subscription) -> list[tuple[str, Message, bytes]]:
 
 
 def test_drive_over_the_bus_ends_in_the_network_of_the_session(
-    charuco: Session, charuco_results: Results, tmp_path: Path
+    charuco: Session, charuco_results: Results, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(coverage_thread, "PERIOD_S", 1.0)
     with running(charuco.inputs, tmp_path) as run:
         wanted = (
             topics.CAMERA_POSE,

@@ -41,7 +41,7 @@ def test_camera_that_was_pushed_along_the_floor_is_noticed() -> None:
     pushed_to = Pose(turn @ there.rotation, there.translation)
     robots = {"r1": RobotPlan(circle(speed=0.08), target_of("charuco"))}
     plan = Plan(cameras, robots, seconds=180.0, picture_rate=0.7)
-    session = with_moved(plan, "c1", pushed_to, 60.0)
+    session = with_moved(make_session(plan), "c1", pushed_to, 60.0)
     network = pushed(session.inputs, session.messages).results().network
     assert_there(network.cameras["c1"], pushed_to)
     for name in ("c2", "c3"):
@@ -57,7 +57,7 @@ def test_small_push_shows_by_what_two_cameras_see_together(push_m: float, more: 
     pushed_to = Pose(old.rotation, old.translation + np.array([push_m, 0.0, 0.0]))
     robots = {"r1": RobotPlan(circle(speed=0.08), target_of("charuco"))}
     plan = Plan(cameras, robots, seconds=120.0, picture_rate=0.7)
-    session = with_moved(plan, "c1", pushed_to, 60.0)
+    session = with_moved(make_session(plan), "c1", pushed_to, 60.0)
     network = pushed(session.inputs, session.messages).results().network
     assert_there(network.cameras["c1"], pushed_to)
     for name in ("c2", "c3"):
