@@ -67,6 +67,9 @@ class Kernel:
         self._arguments = ctypes.c_char * (_ARGUMENT_BYTES * len(parameters))
         assert len(letters) <= _MOST_LETTERS, name
 
+    def __reduce__(self) -> tuple[object, ...]:
+        return Kernel, (self.name, *self.parameters)
+
     def __call__(self, *values: object) -> int:
         """What the function counts, 0 or more.
 
