@@ -65,7 +65,9 @@ def near_moved(rng: np.random.Generator) -> Arguments:
 def near_updated(rng: np.random.Generator) -> Arguments:
     table, rows, r = _table(rng, 8), rng.permutation(8)[: rng.integers(1, 8)], rng.integers(1, 9)
     jacobian, free = rng.normal(size=(r, len(rows))), rows[: rng.integers(0, len(rows) + 1)]
-    return [table, rows, jacobian, rng.normal(size=r), free, np.empty_like(table), np.empty(r)]
+    is_all = int(rng.integers(0, 2))
+    given = [table, rows, jacobian, rng.normal(size=r), free, is_all]
+    return [*given, np.empty_like(table), np.empty(r)]
 
 
 def _equations(rng: np.random.Generator) -> tuple[Arguments, np.ndarray]:
