@@ -280,8 +280,7 @@ class Pipeline:
             ):
                 self._explain_all()
         # Live, cameras are announced also while none of them sees a robot: no transform grows old.
-        used_ns = 0 if self._is_live else self._used_ns
-        stamp_ns = used_ns or self._data.last_ns
+        stamp_ns = (0 if self._is_live else self._used_ns) or self._data.last_ns
         if self._cameras.is_due(stamp_ns, is_quiet=is_quiet):
             self._take_cameras(stamp_ns, is_urgent=False)
         self._outputs += self._cameras.next(is_quiet=is_quiet)

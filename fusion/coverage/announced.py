@@ -28,10 +28,8 @@ _SAME_M, _SAME_RAD, _SAME_SIGMA = 0.05, 0.01, 1.25
 class AnnouncedMap:
     """The map that was announced last. Not thread-safe."""
 
-    def __init__(
-        self, site: Site, targets: Mapping[str, Target], *, most_cells: int = MOST_CELLS
-    ) -> None:
-        self._site, self._targets, self._most_cells = site, targets, most_cells
+    def __init__(self, site: Site, targets: Mapping[str, Target]) -> None:
+        self._site, self._targets = site, targets
         self._before: KnownNetwork | None = None
 
     def anew(
@@ -52,7 +50,7 @@ class AnnouncedMap:
         driven = [poses.translation[:, :2] for _, poses in trajectories.values()]
         places = np.unique(np.round(np.concatenate([np.zeros((0, 2)), *driven]), 1), axis=0)
         carried = carried_by(self._site.robots, self._targets, network)
-        floor = floor_of(known, carried, places, most_cells=self._most_cells)
+        floor = floor_of(known, carried, places, most_cells=MOST_CELLS)
         if not floor.rows:
             return None
         maps = [accuracy_map(known, each, floor, places, step=step) for each in carried]

@@ -16,9 +16,9 @@ from numpy.linalg import LinAlgError
 from trigpoint.base.clock import NANOSECONDS, to_ns
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
-from trigpoint.native.library import In, Kernel, Out
 from trigpoint.site.config import OdometryNoise
 
+from . import odometry_kernels
 from .increment import in_plane, increment, planar_increment
 from .motion import STILL, Motion, both, composed, moved
 from .rest import Rest
@@ -51,34 +51,6 @@ MOST_STANDING = 1024
 # A robot that turns also slips sideways, which the contract's model leaves out: with no translation
 # reported there would be no translation noise at all, and real robots contradict that.
 SLIP = 0.001  # m per √rad
-_REAL, _WHOLE = np.float64, np.int64
-_TRACK = (
-    *(In(_WHOLE, ("n",)), In(_REAL, ("n", 3, 3)), In(_REAL, ("n", 3)), In(_REAL, ("n", 6))),
-    *(In(np.bool_, ("n",)), In(_REAL, ("n",))),
-)
-_CARRIED = Kernel(
-    "tp_carried",
-    *(*_TRACK, In(_WHOLE, ("m",)), In(_REAL, ("m",)), In(_REAL, (2,))),
-    *(Out(_REAL, ("m", 12)), Out(_REAL, ("m", 6))),
-)
-_TWISTS_ABOUT = Kernel("tp_twists_about", *_TRACK, In(_WHOLE, ("m",)), Out(_REAL, ("m", 6)))
-_ONE = (int, int, In(_REAL, (7,)), float, float, In(_REAL, (2,)))
-_CARRIED_ON = Kernel(
-    "tp_carried_on",
-    *(*_TRACK, *_ONE, In(_REAL, (1, 12)), In(_REAL, (6, 6))),
-    *(Out(_REAL, (1, 12)), Out(_REAL, (6, 6))),
-)
-_STEP = Kernel(
-    "tp_odometry_step",
-    *(*_TRACK, *_ONE, In(_REAL, (1, 12)), In(_REAL, (1, 12)), In(_WHOLE, ("d",))),
-    *(Out(_REAL, ("d", "e")), Out(_REAL, ("d",)), Out(_REAL, ("d", "d"))),
-)
-_MOTION = Kernel(
-    "tp_motion",
-    *(*_TRACK, In(_WHOLE, ("m",)), In(_REAL, (7,)), float, float, In(_REAL, (2,))),
-    *(Out(_REAL, ("k", 12)), Out(_REAL, ("k", 6, 6)), Out(_REAL, ("k", 6, 2))),
-    Out(np.bool_, ("k",)),
-)
 _ARRAYS = ("_stamps", "_rotations", "_translations", "_twists", "_jumps", "_gaps")
 
 
@@ -328,7 +300,9 @@ class OdometryTrack:
         if self._count < 2:
             return Pose.identity().repeated(len(seconds)), twists
         moments = np.ascontiguousarray(stamps_ns), np.ascontiguousarray(seconds, dtype=float)
-        _CARRIED(*self._tables, *moments, np.array(scales, dtype=float), way, twists)
+        odometry_kernels.CARRIED(
+            *self._tables, *moments, np.array(scales, dtype=float), way, twists
+        )
         return Pose.from_rows(way), twists
 
     def twists_about(self, stamps_ns: np.ndarray) -> Array:
@@ -337,7 +311,7 @@ class OdometryTrack:
         offset still changes by once all else is known."""
         twists = np.zeros((len(stamps_ns), 6))
         if self._count > 1:
-            _TWISTS_ABOUT(*self._tables, np.ascontiguousarray(stamps_ns), twists)
+            odometry_kernels.TWISTS_ABOUT(*self._tables, np.ascontiguousarray(stamps_ns), twists)
         return twists
 
     def is_in_gap(self, stamp_ns: int) -> bool:
@@ -363,7 +337,7 @@ class OdometryTrack:
         count = len(stamps_ns) - 1
         ways, covariance, by_scale = (np.empty((count, *of)) for of in ((12,), (6, 6), (6, 2)))
         is_still = np.empty(count, dtype=bool)
-        _MOTION(
+        odometry_kernels.MOTION(
             *(*self._tables, np.ascontiguousarray(stamps_ns)),
             *(*self._noise, np.array(scales, dtype=float)),
             *(ways, covariance, by_scale, is_still),
@@ -376,7 +350,7 @@ class OdometryTrack:
         """The robot's pose at a later moment by the motion in between, and the covariance (6, 6) of
         its disturbance, from those at a moment; `scales` as for `motion`, and taken as known."""
         end, spread = np.empty((1, 12)), np.empty((6, 6))
-        _CARRIED_ON(
+        odometry_kernels.CARRIED_ON(
             *(*self._tables, start_ns, end_ns, *self._noise, np.array(scales, dtype=float)),
             *(pose.rows(), np.ascontiguousarray(covariance), end, spread),
         )
@@ -394,7 +368,7 @@ class OdometryTrack:
         """
         d = len(self.tangent)
         matrix, shift, noise = np.empty((d, d + 2)), np.empty(d), np.empty((d, d))
-        is_determined = _STEP(
+        is_determined = odometry_kernels.STEP(
             *(*self._tables, start_ns, end_ns, *self._noise, np.array(scales, dtype=float)),
             *(start.rows(), end.rows(), np.array(self.tangent, dtype=np.int64)),
             *(matrix, shift, noise),

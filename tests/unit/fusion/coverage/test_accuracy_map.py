@@ -151,8 +151,11 @@ def test_a_large_floor_has_larger_cells() -> None:
     assert Floor((0.0, 0.0), 0.5, 2, 3).centres[-1].tolist() == [1.25, 0.75]
 
 
-def test_a_map_is_announced_again_only_where_the_network_changed_by_more_than_matters() -> None:
-    announced = AnnouncedMap(INPUTS.site, INPUTS.targets, most_cells=2_000)
+def test_a_map_is_announced_again_only_where_the_network_changed_by_more_than_matters(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("trigpoint.fusion.coverage.announced.MOST_CELLS", 2_000)
+    announced = AnnouncedMap(INPUTS.site, INPUTS.targets)
     first = network_of("c2")
     way = Pose.planar([3.0, 3.1], [2.0, 2.0], [0.0, 0.0])
     ways = {"r1": (np.array([5, 7]), way)}

@@ -9,9 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from trigpoint.base.clock import to_ns
-from trigpoint.fusion.model.motion import Motion, odometry_step
+from trigpoint.fusion.model.motion import Motion
 from trigpoint.fusion.model.odometry import Added, OdometryTrack
-from trigpoint.fusion.model.prediction import odometry_terms
 from trigpoint.geometry import Pose
 from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
@@ -175,43 +174,6 @@ def test_covariance_is_the_spread_of_many_drives_by_the_contracts_noise(planar: 
     np.testing.assert_allclose(np.diagonal(spread), 1.0, atol=5 * 0.022 + 0.01)
     off_diagonal = spread - np.diag(np.diagonal(spread))
     np.testing.assert_allclose(off_diagonal, 0.0, atol=5 * 0.016 + 0.01)
-
-
-@pytest.mark.parametrize("planar", [True, False])
-def test_pose_is_carried_on_by_the_motion_and_its_covariance(planar: bool) -> None:
-    track = track_of(way(9, planar=planar), planar=planar, noise=SPATIAL_NOISE)
-    scales, between = np.array([0.02, -0.03]), moments(2.3, 7.4)
-    motion = track.motion(between, scales)
-    start = Pose.from_vector(np.array([0.0, 0.0, 0.8, 3.0, -2.0, 0.0]))
-    covariance = np.diag([1e-4, 2e-4, 3e-4, 1e-5, 2e-5, 4e-5])
-    step = odometry_step(start, motion)
-    expected = step.by_start @ covariance @ step.by_start.T
-    expected += step.by_motion @ motion.covariance[0] @ step.by_motion.T
-    first_ns, last_ns = between.tolist()
-    end, spread = track.carried_on(first_ns, last_ns, scales, start, covariance)
-    assert_same(end, step.end)
-    np.testing.assert_allclose(spread, expected, rtol=0, atol=1e-18)
-
-
-@pytest.mark.parametrize("planar", [True, False])
-def test_step_is_what_the_term_of_odometry_says_of_its_end(planar: bool) -> None:
-    track = track_of(way(9, planar=planar), planar=planar, noise=SPATIAL_NOISE)
-    scales, between = np.array([0.02, -0.03]), moments(2.3, 7.4)
-    motion, tangent = track.motion(between, scales), track.tangent
-    start = Pose.from_vector(np.array([0.0, 0.0, 0.8, 3.0, -2.0, 0.0]))
-    off = np.zeros(6)
-    off[tangent] = 1e-3 * np.arange(1, len(tangent) + 1)
-    guess = odometry_step(start, motion).end.disturbed(off)
-    first_ns, last_ns = between.tolist()
-    matrix, shift, noise = track.step(first_ns, last_ns, scales, start, guess)
-    terms = odometry_terms(Pose.stack([start]), Pose.stack([guess]), motion, tangent)
-    by_later = terms.by_later[0]
-    np.testing.assert_allclose(by_later @ noise @ by_later.T, np.eye(len(tangent)), atol=1e-9)
-    by_start = np.concatenate([terms.by_earlier[0], terms.by_scale[0]], axis=1)
-    np.testing.assert_allclose(by_later @ matrix, -by_start, rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(by_later @ shift, -terms.residual[0], rtol=1e-9, atol=1e-9)
-    # Shifting the end back by what it is off is what odometry alone says of it.
-    assert np.abs(shift + off[tangent]).max() < 1e-4 * np.abs(off).max() + 1e-5
 
 
 @pytest.mark.parametrize("planar", [True, False])
