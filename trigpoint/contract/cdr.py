@@ -46,6 +46,7 @@ _LAYOUTS: dict[str, Callable[[bytes], Message | None]] = {
     ODOMETRY: cdr_layout.odometry,
     SIGHTINGS: cdr_layout.sightings,
     POSE_ESTIMATE: cdr_layout.pose_estimate,
+    CAMERA_INFO: cdr_layout.camera_info,
 }
 
 

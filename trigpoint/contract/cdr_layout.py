@@ -11,10 +11,11 @@ import struct
 import numpy as np
 
 from trigpoint.base.errors import MessageError
-from trigpoint.geometry import Pose
+from trigpoint.geometry import CameraModel, Pose
+from trigpoint.geometry.camera import LensModel
 from trigpoint.geometry.rotation import of_quaternion
 
-from .messages import FaceSighting, Odometry, PoseEstimate, Sightings
+from .messages import CameraInfo, FaceSighting, Odometry, PoseEstimate, Sightings
 
 # Limits of a corner's sigma and position; beyond them arithmetic would suffer.
 LEAST_SIGMA_PX, MOST_SIGMA_PX = 1e-3, 1e3
@@ -41,6 +42,11 @@ SIGMA = struct.Struct("<f")
 ODOMETRY = struct.Struct("<7d288x6d288x")
 POSE = struct.Struct("<7d")
 _COVARIANCE = 36
+# The camera matrix; rectification, projection, binning and region of interest, which nobody reads.
+_LENS = struct.Struct("<9d")
+_RECTIFIED = struct.Struct("<21d6I?")
+# More are refused by the general path.
+_MOST_COEFFICIENTS = 16
 
 
 def odometry(payload: bytes) -> Odometry | None:
@@ -112,6 +118,31 @@ def sightings(payload: bytes) -> Sightings | None:
         return None
     stamp_ns = seconds * 1_000_000_000 + nanoseconds
     return Sightings(stamp_ns, frame_id, width, height, tuple(faces))
+
+
+def camera_info(payload: bytes) -> CameraInfo | None:
+    """The message, or None if it is not valid."""
+    try:
+        seconds, nanoseconds = STAMP.unpack_from(payload, _START)
+        frame_id, position = _string(payload, _START + STAMP.size)
+        position = _aligned(position, 4)
+        height, width = TWO_COUNTS.unpack_from(payload, position)
+        model, position = _string(payload, position + TWO_COUNTS.size)
+        position = _aligned(position, 4)
+        (count,) = COUNT.unpack_from(payload, position)
+        if count > _MOST_COEFFICIENTS:
+            return None
+        position = _aligned(position + COUNT.size, 8)
+        distortion = struct.unpack_from(f"<{count}d", payload, position)
+        position += 8 * count
+        k = _LENS.unpack_from(payload, position)
+        end = position + _LENS.size + _RECTIFIED.size
+        if not _is_whole(payload, end) or not math.isfinite(sum(k) + sum(distortion)):
+            return None
+        camera = CameraModel(width, height, k[0], k[4], k[2], k[5], distortion, LensModel(model))
+    except (struct.error, ValueError):
+        return None
+    return CameraInfo(seconds * 1_000_000_000 + nanoseconds, frame_id, camera)
 
 
 def _face(payload: bytes, position: int) -> tuple[FaceSighting, int]:

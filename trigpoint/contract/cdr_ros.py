@@ -5,11 +5,9 @@ their common parts. In the shared package, only this module imports rosbags.
 import math
 from collections.abc import Mapping
 from functools import cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from rosbags.typesys.store import Typestore
 
 from trigpoint.base.errors import MessageError
 from trigpoint.geometry import Pose
@@ -17,6 +15,9 @@ from trigpoint.geometry.rotation import Array
 
 from .cdr_layout import UNIT_TOLERANCE
 from .messages import SIGHTINGS
+
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
 
 _SIGHTINGS_DEFINITION = """# The faces found in one image; empty when none was found.
 std_msgs/Header header          # stamp: middle of exposure; frame_id: <camera>/optical
@@ -42,8 +43,10 @@ _LEAST_LENGTH = 1e-6
 
 
 @cache
-def store() -> Typestore:
-    """ROS 2's types and ours; made once."""
+def store() -> "Typestore":
+    """ROS 2's types and ours; made once, where a message needs it: rosbags takes long to import."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
     types = get_typestore(Stores.ROS2_JAZZY)
     types.register(get_types_from_msg(_FACE_SIGHTING_DEFINITION, "trigpoint_msgs/msg/FaceSighting"))
     types.register(get_types_from_msg(_SIGHTINGS_DEFINITION, SIGHTINGS))
@@ -124,6 +127,8 @@ def normalised_pose_of(pose: Any) -> tuple[Pose, float]:
 
 def register(definitions: Mapping[str, str]) -> None:
     """Register further types by their definitions; those already known are kept."""
+    from rosbags.typesys import get_types_from_msg
+
     types = store()
     for name, text in definitions.items():
         if name not in types.types:

@@ -89,9 +89,10 @@ class Smoother:
     def collect(self, observation: Observation) -> None:
         self._explainer.take(observation, is_used=False)
         self.data.entries.append(Entry(self.data.concluded(observation)))
-        # Where that leaves too much open, it is tried again when a tenth more is there.
-        if len(self.data.entries) > 1.1 * self._collected and self._is_much(is_open=False):
-            self.finish()
+        # Looked at whenever a tenth more is there.
+        if len(self.data.entries) > 1.1 * self._collected:
+            if self._is_much(is_open=False):
+                self.finish()
             self._collected = len(self.data.entries)
 
     # -- the batch solution -----------------------------------------------------------------------

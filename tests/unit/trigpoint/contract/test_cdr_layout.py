@@ -17,7 +17,9 @@ from trigpoint.contract.cdr import (
 )
 from trigpoint.contract.cdr_writing import quickly_written
 from trigpoint.contract.messages import (
+    CAMERA_INFO,
     SIGHTINGS,
+    CameraInfo,
     FaceSighting,
     Message,
     Odometry,
@@ -27,7 +29,8 @@ from trigpoint.contract.messages import (
     Transform,
     Transforms,
 )
-from trigpoint.geometry import Pose
+from trigpoint.geometry import CameraModel, Pose
+from trigpoint.geometry.camera import LensModel
 
 stamps = st.integers(0, 2**31 * 10**9 - 1)
 names = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=12)
@@ -51,11 +54,25 @@ sightings = st.builds(
 )
 covariances = arrays(float, (6, 6), elements=st.floats(-1e6, 1e6))
 estimates = st.builds(PoseEstimate, stamps, names, poses, covariances)
-Quick = Odometry | Sightings | PoseEstimate
-any_of_them = st.one_of(odometry, sightings, estimates)
+widths, pixels = st.integers(1, 2**32 - 1), st.floats(1.0, 5000.0)
+lenses = st.sampled_from(
+    [
+        ((), LensModel.PLUMB_BOB),
+        ((0.1,) * 5, LensModel.PLUMB_BOB),
+        ((0.1,) * 4, LensModel.EQUIDISTANT),
+    ]
+).flatmap(
+    lambda lens: st.builds(
+        CameraModel, widths, widths, pixels, pixels, pixels, pixels, *map(st.just, lens)
+    )
+)
+cameras = st.builds(CameraInfo, stamps, names, lenses)
+Quick = Odometry | Sightings | PoseEstimate | CameraInfo
+written_quickly = st.one_of(odometry, sightings, estimates)
+any_of_them = st.one_of(written_quickly, cameras)
 transforms = st.builds(Transform, stamps, names, names, poses)
 written = st.one_of(
-    any_of_them,
+    written_quickly,
     st.builds(PoseStamped, stamps, names, poses),
     st.builds(Transforms, st.lists(transforms, max_size=4).map(tuple)),
 )
@@ -64,6 +81,8 @@ written = st.one_of(
 def by_layout(name: str, payload: bytes) -> Quick | None:
     if name.endswith("Odometry"):
         return cdr_layout.odometry(payload)
+    if name == CAMERA_INFO:
+        return cdr_layout.camera_info(payload)
     return (cdr_layout.sightings if name == SIGHTINGS else cdr_layout.pose_estimate)(payload)
 
 
@@ -83,6 +102,9 @@ def assert_same(one: object, other: object) -> None:
         np.testing.assert_allclose(one.pose.rotation, other.pose.rotation, rtol=0, atol=1e-15)
         np.testing.assert_array_equal(one.pose.translation, other.pose.translation)
         np.testing.assert_array_equal(one.covariance, other.covariance)
+        return
+    if isinstance(one, CameraInfo):
+        assert one == other
         return
     assert isinstance(one, Sightings)
     assert isinstance(other, Sightings)
