@@ -13,35 +13,43 @@ from trigpoint.fusion.model.motion import FLOOR_VARIANCE
 from trigpoint.fusion.solver.snapshot import ExpectedMotion, RobotPlace
 from trigpoint.geometry import Pose
 from trigpoint.geometry import rotation as so3
+from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.uncertainty import lever
 
 
-def expected_motion(place: RobotPlace, start: Pose, goal: Pose, path_m: float) -> ExpectedMotion:
-    """The motion from one map_from_base to another; `path_m`: its length, at least the distance."""
+def expected_motion(place: RobotPlace, start: Pose, goals: Pose, path_m: Array) -> ExpectedMotion:
+    """The motions from one map_from_base to others (…); `path_m` (…): their lengths, at least the
+    distance."""
     noise = place.noise
-    arm = goal.translation - start.translation
-    bearing = np.arctan2(arm[1], arm[0])
-    is_elsewhere = np.linalg.norm(arm[:2]) > 1e-6
-    first = float(so3.wrap(bearing - start.heading)) if is_elsewhere else 0.0
-    net = float(so3.wrap(goal.heading - start.heading))
-    last = float(so3.wrap(net - first))
+    arm = goals.translation - start.translation
+    bearing = np.arctan2(arm[..., 1], arm[..., 0])
+    is_elsewhere = np.linalg.norm(arm[..., :2], axis=-1) > 1e-6
+    first = np.where(is_elsewhere, so3.wrap(bearing - start.heading), 0.0)
+    last = so3.wrap(so3.wrap(goals.heading - start.heading) - first)
     driving = step_variances(noise, path_m, 0.0)
-    at_start, at_end = step_variances(noise, 0.0, np.abs([first, last])).rotation
+    at_start = step_variances(noise, 0.0, np.abs(first)).rotation
+    at_end = step_variances(noise, 0.0, np.abs(last)).rotation
     by_start = lever(arm)
-    swing = by_start[:3, 3:]
-    covariance = np.zeros((6, 6))
+    swing = by_start[..., :3, 3:]
+    covariance = np.zeros((*first.shape, 6, 6))
     middle = so3.about_z(bearing)
-    covariance[:3, :3] = (middle * driving.translation) @ middle.T
-    slip = place.slip**2 * (abs(first) + abs(last))
-    covariance[:3, :3] += np.diag([slip, slip, 0.0])
-    covariance[:3, :3] += swing @ np.diag(at_start + driving.rotation / 3) @ swing.T
-    covariance[:3, 3:] = swing @ np.diag(at_start + driving.rotation / 2)
-    covariance[3:, :3] = covariance[:3, 3:].T
-    covariance[3:, 3:] = np.diag(at_start + driving.rotation + at_end)
-    by_scale = np.zeros((6, 2))
-    by_scale[:3, 0] = arm
-    by_scale[:3, 1] = np.array([-arm[1], arm[0], 0.0]) * first
-    by_scale[5, 1] = first + last
-    free = np.ix_(place.tangent, place.tangent)
-    floor = FLOOR_VARIANCE * np.eye(len(place.tangent))
-    return ExpectedMotion(by_start[free], by_scale[place.tangent], covariance[free] + floor)
+    covariance[..., :3, :3] = (middle * driving.translation[..., None, :]) @ np.swapaxes(
+        middle, -1, -2
+    )
+    slip = place.slip**2 * (np.abs(first) + np.abs(last))
+    covariance[..., [0, 1], [0, 1]] += slip[..., None]
+    swung = swing * (at_start + driving.rotation / 3)[..., None, :]
+    covariance[..., :3, :3] += swung @ np.swapaxes(swing, -1, -2)
+    covariance[..., :3, 3:] = swing * (at_start + driving.rotation / 2)[..., None, :]
+    covariance[..., 3:, :3] = np.swapaxes(covariance[..., :3, 3:], -1, -2)
+    covariance[..., [3, 4, 5], [3, 4, 5]] = at_start + driving.rotation + at_end
+    by_scale = np.zeros((*first.shape, 6, 2))
+    by_scale[..., :3, 0] = arm
+    by_scale[..., 0, 1], by_scale[..., 1, 1] = -arm[..., 1] * first, arm[..., 0] * first
+    by_scale[..., 5, 1] = first + last
+    rows, columns = np.ix_(place.tangent, place.tangent)
+    return ExpectedMotion(
+        by_start[..., rows, columns],
+        by_scale[..., place.tangent, :],
+        covariance[..., rows, columns] + FLOOR_VARIANCE * np.eye(len(rows)),
+    )

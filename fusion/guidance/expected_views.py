@@ -1,7 +1,6 @@
 """What cameras would see of a robot at candidate poses, and the information in that."""
 
-from collections import defaultdict
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -37,29 +36,14 @@ _AT_ONCE = 64
 
 
 @dataclass(frozen=True, slots=True)
-class Visit:
-    """What a picture by each of `cameras` would tell: information (q, q) over `columns` (q,) of the
-    dense part, the robot's pose first."""
+class Visits:
+    """What a picture by each of `cameras` would tell at candidates `rows` (m,): information (m, q,
+    q) over `columns` (q,) of the dense part, the robot's pose first."""
 
+    rows: np.ndarray
     cameras: tuple[str, ...]
     columns: np.ndarray
     information: Array
-
-
-@dataclass(slots=True)
-class _Sum:
-    cameras: list[str] = field(default_factory=list)
-    parts: list[tuple[np.ndarray, Array]] = field(default_factory=list)
-
-    def visit(self, last: np.ndarray) -> Visit:
-        columns = np.unique(np.concatenate([part[0] for part in self.parts]))
-        columns = np.concatenate([last, columns[~np.isin(columns, last)]])
-        place = {column: row for row, column in enumerate(columns.tolist())}
-        information = np.zeros((len(columns), len(columns)))
-        for names, matrix in self.parts:
-            rows = [place[name] for name in names.tolist()]
-            information[np.ix_(rows, rows)] += matrix
-        return Visit(tuple(self.cameras), columns, information)
 
 
 def visits(
@@ -68,8 +52,9 @@ def visits(
     place: RobotPlace,
     chosen: Candidates,
     cameras: list[str],
-) -> tuple[Candidates, list[Visit]]:
-    """The candidates at which a camera sees the robot, and what each would tell.
+) -> tuple[Candidates, list[Visits]]:
+    """The candidates at which a camera sees the robot, and what each would tell: those together
+    that the same cameras see.
 
     Where there are too many, those that the first camera sees get half of the room.
     """
@@ -78,20 +63,28 @@ def visits(
         for name in cameras
     }
     kept = _kept(np.stack([faces.whole.any(axis=1) for faces in seen.values()]))
-    sums: dict[int, _Sum] = defaultdict(_Sum)
-    for name, faces in seen.items():
-        mine = kept[faces.shown[kept].any(axis=1)]
-        for start in range(0, len(mine), _AT_ONCE):
-            rows = mine[start : start + _AT_ONCE]
-            poses, shown = chosen.map_from_base[rows], faces.shown[rows]
-            columns, matrices, counts = _information(world, layout, place, name, poses, shown)
-            for row, matrix, count in zip(rows.tolist(), matrices, counts.tolist(), strict=True):
-                if count:
-                    sums[row].cameras.append(name)
-                    sums[row].parts.append((columns, matrix))
-    order = sorted(sums)
-    last = layout.last[place.robot]
-    return chosen.where(np.array(order, dtype=int)), [sums[row].visit(last) for row in order]
+    chosen = chosen.where(kept)
+    told = [
+        _told(world, layout, place, name, chosen.map_from_base, faces.shown[kept])
+        for name, faces in seen.items()
+    ]
+    is_seen = np.stack([each.is_seen for each in told])
+    kept = np.flatnonzero(is_seen.any(axis=0))
+    sets, of_set = np.unique(is_seen[:, kept], axis=1, return_inverse=True)
+    found = []
+    for number, those in enumerate(sets.T):
+        rows = np.flatnonzero(of_set == number)
+        names = tuple(name for name, is_one in zip(cameras, those, strict=True) if is_one)
+        columns = np.unique(np.concatenate([told[i].columns for i in np.flatnonzero(those)]))
+        last = layout.last[place.robot]
+        columns = np.concatenate([last, columns[~np.isin(columns, last)]])
+        place_of = {column: row for row, column in enumerate(columns.tolist())}
+        information = np.zeros((len(rows), len(columns), len(columns)))
+        for camera in np.flatnonzero(those):
+            at = np.array([place_of[column] for column in told[camera].columns.tolist()])
+            information[:, at[:, None], at] += told[camera].information[kept[rows]]
+        found.append(Visits(rows, names, columns, information))
+    return chosen.where(kept), found
 
 
 def _kept(every: np.ndarray) -> np.ndarray:
@@ -154,26 +147,44 @@ def _inside(camera: CameraState, points_map: Array) -> np.ndarray:
     return inside & np.all((pixels >= low) & (pixels <= high), axis=-1)
 
 
-def _information(
+@dataclass(frozen=True, slots=True)
+class _Told:
+    """What a picture by one camera tells at each pose (n): `information` (n, q, q) over `columns`
+    (q,), nothing where the robot is not seen."""
+
+    is_seen: np.ndarray
+    columns: np.ndarray
+    information: Array
+
+
+def _told(
     world: GuidanceWorld,
     layout: Layout,
     place: RobotPlace,
     camera: str,
     poses: Pose,
     shown: np.ndarray,
-) -> tuple[np.ndarray, Array, np.ndarray]:
-    """Columns (q,), information (n, q, q) and number of corners (n,) of a picture at each pose;
-    `shown`: (n, faces)."""
-    robot = replace(world.state.robots[place.robot], map_from_base=poses)
-    state = State(world.state.cameras, world.state.robots | {place.robot: robot})
-    batch = _batch(world, place, camera, robot, shown)
+) -> _Told:
+    """What a picture at each pose (n) tells of which these faces (n, faces) are shown."""
+    rows, last = np.flatnonzero(shown.any(axis=1)), layout.last[place.robot]
     # A robot that stands says nothing of a camera's clock.
     standing = replace(layout, time_offset={})
-    problem = Problem({place.robot: _chain(place, len(poses))}, (batch,), Priors.none(), standing)
-    jacobian, _, columns = batch_jacobian(problem, batch, state)
-    flat = jacobian.reshape(len(poses), -1, jacobian.shape[-1])
-    columns = np.concatenate([layout.last[place.robot], columns])
-    return columns, np.swapaxes(flat, 1, 2) @ flat, (batch.weights > 0).sum(axis=1)
+    found = _Told(np.zeros(len(poses), dtype=bool), last, np.zeros((len(poses), 0, 0)))
+    for start in range(0, len(rows), _AT_ONCE):
+        some = rows[start : start + _AT_ONCE]
+        robot = replace(world.state.robots[place.robot], map_from_base=poses[some])
+        state = State(world.state.cameras, world.state.robots | {place.robot: robot})
+        batch = _batch(world, place, camera, robot, shown[some])
+        chain = _chain(place, len(some))
+        problem = Problem({place.robot: chain}, (batch,), Priors.none(), standing)
+        jacobian, _, columns = batch_jacobian(problem, batch, state)
+        if not found.information.size:
+            columns = np.concatenate([last, columns])
+            found = _Told(found.is_seen, columns, np.zeros((len(poses), *(2 * (len(columns),)))))
+        flat = jacobian.reshape(len(some), -1, jacobian.shape[-1])
+        found.information[some] = np.swapaxes(flat, 1, 2) @ flat
+        found.is_seen[some] = (batch.weights > 0).any(axis=1)
+    return found
 
 
 def _batch(

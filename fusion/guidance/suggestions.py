@@ -29,7 +29,7 @@ from trigpoint.geometry.uncertainty import symmetric
 
 from .candidates import Candidates, Ground, candidates, nearest_cameras
 from .expected_motion import expected_motion
-from .expected_views import Visit, visits
+from .expected_views import Visits, visits
 
 # Beside the worst camera so many others, the nearest ones, are considered: one that is known well
 # locates the robot, and with it the camera that saw it last.
@@ -91,11 +91,11 @@ class JointCovariance:
         covariance[np.ix_(last, last)] += motion.covariance
         return JointCovariance(self.layout, covariance)
 
-    def seen(self, visit: Visit) -> "JointCovariance":
-        """The covariance after a visit at the robot's present pose."""
-        rows = visit.columns
-        gain = _gain(visit.information, self.covariance[np.ix_(rows, rows)])
-        across = self.covariance[:, rows]
+    def seen(self, columns: np.ndarray, information: Array) -> "JointCovariance":
+        """The covariance after a visit at the robot's present pose that tells so much (q, q) of
+        these columns (q,)."""
+        gain = _gain(information, self.covariance[np.ix_(columns, columns)])
+        across = self.covariance[:, columns]
         return JointCovariance(self.layout, self.covariance - across @ gain @ across.T)
 
 
@@ -118,9 +118,8 @@ def suggestions(world: GuidanceWorld, robot: str, *, count: int = 1) -> list[Sug
         best = _best(world, ground, joint, place, here, found)
         if best is None:
             break
-        suggestion, visit, motion = best
+        suggestion, joint = best
         found.append(suggestion)
-        joint = joint.moved(robot, motion).seen(visit)
         here = suggestion.map_from_base
     return found
 
@@ -134,24 +133,30 @@ def next_poses(world: GuidanceWorld, *, count: int) -> list[Suggestion]:
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """Every candidate of one robot with what is expected after it."""
+    """Every candidate (n) of one robot with what is expected after it."""
 
     camera: str
     sigma_m: float
     candidates: Candidates
-    motions: list[ExpectedMotion]
-    visits: list[Visit]
+    motions: ExpectedMotion
+    visits: list[Visits]
     expected_sigma_m: Array
 
-    def at(self, index: int, robot: str) -> Suggestion:
-        return Suggestion(
+    def after(
+        self, index: int, robot: str, joint: JointCovariance
+    ) -> tuple[Suggestion, JointCovariance]:
+        """A candidate, and what is known once the robot was there."""
+        (visit,) = [visit for visit in self.visits if index in visit.rows]
+        information = visit.information[visit.rows.tolist().index(index)]
+        chosen = Suggestion(
             robot,
             self.candidates.map_from_base[index],
             self.camera,
             self.sigma_m,
             float(self.expected_sigma_m[index]),
-            self.visits[index].cameras,
+            visit.cameras,
         )
+        return chosen, joint.moved(robot, self.motions[index]).seen(visit.columns, information)
 
 
 def options(
@@ -168,12 +173,11 @@ def options(
     chosen, found = visits(world, joint.layout, place, chosen, cameras)
     if not found:
         return None
-    motions = [
-        expected_motion(place, here, chosen.map_from_base[i], float(chosen.path_m[i]))
-        for i in range(len(found))
-    ]
-    after = [_after(joint, place, m, v, worst) for m, v in zip(motions, found, strict=True)]
-    return Options(worst, joint.sigma_m(worst), chosen, motions, found, np.array(after))
+    motions = expected_motion(place, here, chosen.map_from_base, chosen.path_m)
+    after = np.zeros(len(chosen.path_m))
+    for visit in found:
+        after[visit.rows] = _after(joint, place, motions[visit.rows], visit, worst)
+    return Options(worst, joint.sigma_m(worst), chosen, motions, found, after)
 
 
 def _best(
@@ -183,9 +187,9 @@ def _best(
     place: RobotPlace,
     here: Pose,
     said: Iterable[Suggestion],
-) -> tuple[Suggestion, Visit, ExpectedMotion] | None:
-    """The best visit to a pose that was not `said`: a second picture of the same view has the
-    first one's systematic errors."""
+) -> tuple[Suggestion, JointCovariance] | None:
+    """The best visit to a pose that was not `said`, since a second picture of the same view has the
+    first one's systematic errors; and what is known after it."""
     found = options(world, ground, joint, place, here)
     if found is None:
         return None
@@ -195,40 +199,39 @@ def _best(
         is_near = np.linalg.norm(step.translation, axis=-1) < _SAME_PLACE_M
         ahead = np.hypot(step.rotation[..., 0, 0], step.rotation[..., 1, 0])
         is_alike = step.rotation[..., 0, 0] > np.cos(_SAME_HEADING) * ahead
-        expected[(is_near & is_alike)[: len(expected)]] = np.inf
+        expected[is_near & is_alike] = np.inf
     index = int(np.argmin(expected))
     if not np.isfinite(expected[index]):
         return None
-    chosen = found.at(index, place.robot)
-    return (chosen, found.visits[index], found.motions[index]) if chosen.is_worthwhile else None
+    chosen, after = found.after(index, place.robot, joint)
+    return (chosen, after) if chosen.is_worthwhile else None
 
 
 def _after(
-    joint: JointCovariance, place: RobotPlace, motion: ExpectedMotion, visit: Visit, camera: str
-) -> float:
-    """A camera's position sigma after the robot went somewhere and was seen there.
+    joint: JointCovariance, place: RobotPlace, motions: ExpectedMotion, visit: Visits, camera: str
+) -> Array:
+    """A camera's position sigma after the robot went somewhere and was seen there, (m,).
 
     Only what the visit touches is computed, so a candidate costs the same in any network.
     """
     mine = joint.position_rows(camera)
     last, scales = joint.columns(place.robot)
     rows = np.concatenate([visit.columns, mine])
-    covariance = joint.covariance[np.ix_(rows, rows)]
-    by_scale = motion.by_scale[:, : len(scales)]
-    arrived = motion.by_start @ joint.covariance[last] + by_scale @ joint.covariance[scales]
-    own = arrived[:, last] @ motion.by_start.T + arrived[:, scales] @ by_scale.T
-    d = len(last)  # the robot's own columns are a visit's first ones
-    covariance[:d] = arrived[:, rows]
-    covariance[:, :d] = covariance[:d].T
-    covariance[:d, :d] = own + motion.covariance
-    n = len(visit.columns)
-    across = covariance[n:, :n]
-    less = across @ _gain(visit.information, covariance[:n, :n]) @ across.T
-    return float(np.sqrt(max(np.trace(covariance[n:, n:] - less), 0.0)))
+    by_start, by_scale = motions.by_start, motions.by_scale[..., : len(scales)]
+    arrived = by_start @ joint.covariance[last] + by_scale @ joint.covariance[scales]
+    own = arrived[..., last] @ np.swapaxes(by_start, 1, 2)
+    own += arrived[..., scales] @ np.swapaxes(by_scale, 1, 2)
+    covariance = np.tile(joint.covariance[np.ix_(rows, rows)], (len(visit.rows), 1, 1))
+    d, n = len(last), len(visit.columns)  # the robot's own columns are a visit's first ones
+    covariance[:, :d] = arrived[..., rows]
+    covariance[..., :d] = np.swapaxes(covariance[:, :d], 1, 2)
+    covariance[:, :d, :d] = own + motions.covariance
+    across = covariance[:, n:, :n]
+    less = across @ _gain(visit.information, covariance[:, :n, :n]) @ np.swapaxes(across, 1, 2)
+    return np.sqrt(np.maximum(np.trace(covariance[:, n:, n:] - less, axis1=1, axis2=2), 0.0))
 
 
 def _gain(information: Array, covariance: Array) -> Array:
-    """(P + M⁻¹)⁻¹ where M may be singular: (I + M P)⁻¹ M."""
-    return symmetric(
-        np.linalg.solve(np.eye(len(covariance)) + information @ covariance, information)
-    )
+    """(P + M⁻¹)⁻¹ (…, q, q) where M may be singular: (I + M P)⁻¹ M."""
+    identity = np.eye(covariance.shape[-1])
+    return symmetric(np.linalg.solve(identity + information @ covariance, information))

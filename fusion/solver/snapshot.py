@@ -18,13 +18,16 @@ from .filter import Filter
 
 @dataclass(frozen=True, slots=True)
 class ExpectedMotion:
-    """A motion in the free disturbances (d) of the robot: derivatives of the end's by those of the
-    start (d, d) and by the scale errors of distance and heading (d, 2), and the covariance (d, d)
-    that the motion adds."""
+    """Motions (…) in the free disturbances (d) of the robot: derivatives of the end's by those of
+    the start (…, d, d) and by the scale errors of distance and heading (…, d, 2), and the
+    covariance (…, d, d) that the motion adds."""
 
     by_start: Array
     by_scale: Array
     covariance: Array
+
+    def __getitem__(self, index: int | np.ndarray) -> "ExpectedMotion":
+        return ExpectedMotion(self.by_start[index], self.by_scale[index], self.covariance[index])
 
 
 @dataclass(frozen=True, slots=True)

@@ -139,7 +139,7 @@ def test_visit_brings_what_was_predicted_and_more_than_the_median_candidate(driv
     assert predicted > 0
     assert 0.7 * predicted <= gain <= 1.3 * predicted
     random = np.random.default_rng(5)
-    tried = random.choice(len(found.visits), 3, replace=False)
+    tried = random.choice(len(found.expected_sigma_m), 3, replace=False)
     others = [visited(drive, found.candidates.map_from_base[i], best.camera)[0] for i in tried]
     assert after < np.median(others)
 
@@ -180,7 +180,7 @@ def test_expected_motion_is_that_of_odometry_on_this_way(
     turn[:3, :3] = turn[3:, 3:] = start.rotation
     real = (turn @ motion.covariance[0] @ turn.T)[np.ix_(track.tangent, track.tangent)]
     length = float(np.linalg.norm(target.translation - start.translation))
-    expected = expected_motion(place, start, target, length)
+    expected = expected_motion(place, start, target, np.array(length))
     scale = np.sqrt(np.outer(np.diagonal(real), np.diagonal(real)))
     # Tilt turns with the robot, the expectation keeps it in the map's axes: a tenth is enough.
     np.testing.assert_allclose(expected.covariance / scale, real / scale, atol=0.1)
@@ -220,8 +220,7 @@ def test_belief_after_a_visit_is_what_was_expected_of_it(drive: Drive) -> None:
     found, world = drive.options, drive.world
     index = int(np.argmin(found.expected_sigma_m))
     joint = JointCovariance(world.layout, covariance_of(world.information))
-    after = joint.moved("r1", world.robots["r1"].since).moved("r1", found.motions[index])
-    after = after.seen(found.visits[index])
+    _, after = found.after(index, "r1", joint.moved("r1", world.robots["r1"].since))
     assert after.sigma_m(found.camera) == pytest.approx(found.expected_sigma_m[index], rel=1e-6)
     assert np.linalg.eigvalsh(after.covariance).min() > -1e-12
 
@@ -240,7 +239,7 @@ def test_number_of_candidates_is_bounded_however_long_the_drive(drive: Drive) ->
     }
     longer = replace(drive.world, ways={"r1": many}, views=views)
     found = replace(drive, world=longer).options
-    assert len(found.visits) <= 360
+    assert len(found.expected_sigma_m) <= 360
 
 
 def test_nothing_is_suggested_before_a_camera_is_located(drive: Drive) -> None:
