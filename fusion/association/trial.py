@@ -14,6 +14,7 @@ from trigpoint.fusion.reading.views import BODY, VIEWS, body_tables, view_tables
 from trigpoint.fusion.solver.equations import EXACT, Equations, EquationsHandle
 from trigpoint.fusion.solver.tables import PROBLEM, STATE, problem_tables, state_of, state_tables
 from trigpoint.geometry import Pose
+from trigpoint.geometry.rotation import Array
 from trigpoint.native.library import In, Kernel, Out
 
 from .events import Events
@@ -22,8 +23,10 @@ from .events import Events
 # any decision depends on.
 _TOLERANCE = 0.03
 _MOST_STEPS = 12
-# Of how many clocks a visit's tables are kept: each round of an estimated one ends with another.
-_MOST_KEPT = 4
+# Of how many clocks a visit's tables are kept. They have a clock to first order: where it differs
+# by less, they are off by half of an acceleration times the square of this, some micrometres.
+_MOST_KEPT = 8
+_CLOCK_S = 5e-3
 # Of `PROBLEM`: the robot's deviations in pictures; what a round writes, the corners' faces, points
 # and weights.
 _DEVIATIONS, _WRITTEN = 10, (11, 12, 14)
@@ -61,9 +64,11 @@ class Ending(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Tables:
-    """A visit's problem with one clock: `node_of` (p,): each picture's node; `problem` and `views`:
-    as the core takes them; `rows` (v,): where each view's corners begin in the problem's."""
+    """A visit's problem with one `clock` (2,), its offset and drift: `node_of` (p,): each picture's
+    node; `problem` and `views`: as the core takes them; `rows` (v,): where each view's corners
+    begin in the problem's."""
 
+    clock: Array
     assembled: Assembled
     node_of: np.ndarray
     problem: tuple[np.ndarray | int, ...]
@@ -91,19 +96,27 @@ class Pictures:
             [events.wild_score, events.wrong_limit, events.pose_score, events.sighting_gate]
         )
         self.room = events.room_variances
-        self._tables: dict[tuple[float, float], Tables] = {}
+        ends_ns = np.array([observations[0].stamp_ns, observations[-1].stamp_ns])
+        self._furthest_s = float(np.abs(data.since_epoch_s(ends_ns)).max())
+        self._tables: list[Tables] = []
 
     def split(self, flags: np.ndarray) -> list[np.ndarray]:
         """What is said of all corners, by view."""
         return np.split(flags, np.cumsum([len(view.corners) for view in self.views])[:-1])
 
     def tables(self, camera: CameraState, poses: Pose) -> Tables:
-        """The problem with a camera's clock; `poses` (p): where the robot may be."""
-        found = self._tables.pop(camera.clock, None) or self._assembled(camera, poses)
-        self._tables[camera.clock] = found  # the last one used is the last
-        if len(self._tables) > _MOST_KEPT:
-            del self._tables[next(iter(self._tables))]
+        """The problem with about a camera's clock; `poses` (p): where the robot may be."""
+        clock = np.array(camera.clock)
+        near = [row for row, kept in enumerate(self._tables) if self.does_for(kept, clock)]
+        found = self._tables.pop(near[-1]) if near else self._assembled(camera, poses)
+        self._tables.append(found)  # the last one used is the last
+        del self._tables[:-_MOST_KEPT]
         return found
+
+    def does_for(self, tables: Tables, clock: Array) -> bool:
+        """Whether a clock (2,) is so near that of a problem that it need not be assembled anew."""
+        offset, drift = np.abs(clock - tables.clock).tolist()
+        return offset + drift * self._furthest_s <= _CLOCK_S
 
     def _assembled(self, camera: CameraState, poses: Pose) -> Tables:
         entries = []
@@ -122,6 +135,7 @@ class Pictures:
         first = before[np.searchsorted(self.picture_of, np.arange(len(entries)))]
         rows = batch.weights.shape[1] * self.picture_of + before - first[self.picture_of]
         return Tables(
+            np.array(camera.clock),
             assembled,
             node_of,
             problem_tables(assembled.problem, assembled.start),
@@ -190,10 +204,10 @@ class Trial:
 
     def round(self, work: Work, *, huber: float = np.inf) -> Ending:
         """Go on by one round; corners beyond `huber` sigmas have a linear cost (Huber)."""
-        if tuple(self._state[2][0].tolist()) != self._start.cameras[self.pictures.camera].clock:
-            before = self.state
-            self._begin(self.camera, before.robots[self.pictures.robot])
-        pictures, tables = self.pictures, self.tables
+        pictures = self.pictures
+        if not pictures.does_for(self.tables, self._state[2][0]):
+            self._begin(self.camera, self.state.robots[pictures.robot])
+        tables = self.tables
         if pictures.jitter is not None and pictures.jitter.length > 0:
             deviations = tables.problem[_DEVIATIONS]
             assert isinstance(deviations, np.ndarray)

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <limits>
 #include <stdexcept>
+#include <vector>
 
 #include "border.hpp"
 #include "geometry/pose.hpp"
@@ -17,8 +18,8 @@ using Eigen::Matrix3d;
 using Eigen::Vector3d;
 using Symmetric = Eigen::Map<const Matrix6d>;
 
-// A pair of ways whose positions differ by more than this many sigmas, by the traces of their
-// covariances alone, would fail any chi-squared gate by their full covariance too.
+// A pair of ways whose positions, or orientations, differ by more than this many sigmas, by the
+// traces of their covariances alone, would fail any chi-squared gate by their full covariance too.
 constexpr double FAR_SIGMAS = 7;
 
 // What `tp_start_costs` is given, in its order.
@@ -47,13 +48,16 @@ const std::int64_t* wholes(const Argument* arguments, Given which) {
     return arguments[which].array.as<std::int64_t>();
 }
 
+double shifts(const Symmetric& covariance) { return covariance.topLeftCorner<3, 3>().trace(); }
+double turns(const Symmetric& covariance) { return covariance.bottomRightCorner<3, 3>().trace(); }
+
 // One way to read a sighting: camera_from_base, with its covariance in the camera's axes, and what
 // is known of the robot in its picture beside that.
 struct Way {
     std::int64_t sighting, picture;
     Pose camera_from_base, map_from_base;
     Symmetric covariance, deviation;
-    double excess;
+    double excess, own_shifts, own_turns;
 
     Way(const Argument* arguments, Index index)
         : sighting(wholes(arguments, SIGHTINGS)[index]),
@@ -63,16 +67,18 @@ struct Way {
                                 numbers(arguments, ODOMETRY_PLACES), picture)),
           covariance(numbers(arguments, COVARIANCES) + 36 * index),
           deviation(numbers(arguments, DEVIATIONS) + 36 * picture),
-          excess(numbers(arguments, EXCESS)[index]) {}
+          excess(numbers(arguments, EXCESS)[index]),
+          own_shifts(shifts(covariance) + shifts(deviation)),
+          own_turns(turns(covariance) + turns(deviation)) {}
 };
 
-// A covariance in other axes.
-Matrix6d turned(const Matrix3d& turn, const Matrix6d& covariance) {
+// A covariance in the axes that `turn` takes to those that it is in.
+Matrix6d turned_back(const Matrix3d& turn, const Matrix6d& covariance) {
     Matrix6d found;
     for (const Index row : {0, 3})
         for (const Index column : {0, 3})
             found.block<3, 3>(row, column) =
-                turn * covariance.block<3, 3>(row, column) * turn.transpose();
+                turn.transpose() * covariance.block<3, 3>(row, column) * turn;
     return found;
 }
 
@@ -86,46 +92,67 @@ Matrix6d swung(const Vector3d& arm, const Matrix6d& covariance) {
     return found;
 }
 
-double shifts(const Matrix6d& covariance) { return covariance.topLeftCorner<3, 3>().trace(); }
-double turns(const Matrix6d& covariance) { return covariance.bottomRightCorner<3, 3>().trace(); }
-
-// A camera where one way puts it.
+// A camera where one way puts it. Covariances are in the camera's axes.
 class Start {
 public:
-    explicit Start(const Way& seed)
+    // `drift`: of odometry between the seed's picture and each other.
+    Start(const Way& seed, const double* drift, Index pictures)
         : seed_(seed),
           camera_(seed.map_from_base.times(seed.camera_from_base.inverse())),
-          own_(turned(camera_.rotation, seed.covariance) + seed.deviation) {}
+          own_(seed.covariance + turned_back(camera_.rotation, seed.deviation)),
+          own_shifts_(2 * seed.own_shifts),
+          by_square_(2 * seed.own_turns),
+          drift_(drift),
+          others_(static_cast<std::size_t>(pictures)),
+          is_known_(static_cast<std::size_t>(pictures)) {}
 
     // The cost of taking another way to be right, too: infinite where that is out of question.
-    double cost(const Way& other, const Symmetric& drift, double most_room) const {
+    double cost(const Way& other, double most_room) {
         constexpr double NEVER = std::numeric_limits<double>::infinity();
-        const Pose seen = camera_.times(other.camera_from_base);
+        const Symmetric drift(drift_ + 36 * other.picture);
         const Vector3d arm =
             other.camera_from_base.translation - seed_.camera_from_base.translation;
-        const double squared = arm.squaredNorm(),
-                     variance = 2 * (shifts(seed_.covariance) + squared * turns(seed_.covariance)) +
-                                shifts(other.covariance) + shifts(drift) + other.deviation.trace() +
-                                (1 + squared) * seed_.deviation.trace();
-        const Vector3d shift = seen.translation - other.map_from_base.translation;
+        const double variance = own_shifts_ + arm.squaredNorm() * by_square_ + other.own_shifts +
+                                shifts(drift);
+        const Vector3d shift = camera_.rotation * other.camera_from_base.translation +
+                               (camera_.translation - other.map_from_base.translation);
         if (!(shift.squaredNorm() < FAR_SIGMAS * FAR_SIGMAS * variance)) return NEVER;
+        const Matrix3d seen = camera_.rotation * other.camera_from_base.rotation;
+        const double squared_turn = 3 - seen.cwiseProduct(other.map_from_base.rotation).sum(),
+                     turn_variance = seed_.own_turns + other.own_turns + turns(drift);
+        if (!(squared_turn < FAR_SIGMAS * FAR_SIGMAS * turn_variance)) return NEVER;
         // An error of the seed's own pose swings the robot in the other picture about where it is
-        // in the seed's. The other way's own covariance is in the axes of the same camera.
-        const Matrix6d spread = swung(camera_.rotation * arm, own_) +
-                                turned(camera_.rotation, other.covariance) + other.deviation +
-                                drift;
+        // in the seed's.
+        const Matrix6d spread = swung(arm, own_) + other.covariance + of_picture(other, drift);
         const Eigen::LLT<Matrix6d> root(spread);
         if (root.info() != Eigen::Success) return NEVER;
-        const Vector6d pull = root.matrixL().solve(seen.difference(other.map_from_base));
+        Vector6d pull = camera_.times(other.camera_from_base).difference(other.map_from_base);
+        pull << camera_.rotation.transpose() * pull.head<3>(),
+            camera_.rotation.transpose() * pull.tail<3>();
+        root.matrixL().solveInPlace(pull);
         const double room = 2 * root.matrixLLT().diagonal().array().log().sum(),
                      cost = pull.squaredNorm() + std::min(room, most_room) + other.excess;
         return std::isfinite(cost) ? cost : NEVER;
     }
 
 private:
+    // What is not known of the robot in another picture, given where it was in the seed's.
+    const Matrix6d& of_picture(const Way& other, const Symmetric& drift) {
+        const auto picture = static_cast<std::size_t>(other.picture);
+        if (!is_known_[picture]) {
+            others_[picture] = turned_back(camera_.rotation, other.deviation + drift);
+            is_known_[picture] = true;
+        }
+        return others_[picture];
+    }
+
     const Way& seed_;
     Pose camera_;
     Matrix6d own_;
+    double own_shifts_, by_square_;
+    const double* drift_;
+    std::vector<Matrix6d> others_;
+    std::vector<bool> is_known_;
 };
 
 void check(const Argument* arguments) {
@@ -153,15 +180,15 @@ TRIGPOINT_KERNEL(tp_start_costs) {
                 sightings = arguments[COSTS].array.shape[1];
     double* costs = numbers(arguments, COSTS);
     std::fill_n(costs, seeds * sightings, arguments[LIMIT].number);
+    std::vector<Way> every;
+    every.reserve(static_cast<std::size_t>(ways));
+    for (Index n = 0; n < ways; ++n) every.emplace_back(arguments, n);
     for (Index s = 0; s < seeds; ++s, costs += sightings) {
-        const Way seed(arguments, wholes(arguments, SEEDS)[s]);
-        const Start start(seed);
-        for (Index n = 0; n < ways; ++n) {
-            const Way other(arguments, n);
+        const Way& seed = every[static_cast<std::size_t>(wholes(arguments, SEEDS)[s])];
+        Start start(seed, numbers(arguments, DRIFT) + 36 * seed.picture * pictures, pictures);
+        for (const Way& other : every) {
             if (other.sighting == seed.sighting) continue;
-            const Symmetric drift(numbers(arguments, DRIFT) +
-                                  36 * (seed.picture * pictures + other.picture));
-            const double cost = start.cost(other, drift, arguments[MOST_ROOM].number);
+            const double cost = start.cost(other, arguments[MOST_ROOM].number);
             costs[other.sighting] = std::min(costs[other.sighting], cost);
         }
         costs[seed.sighting] = std::min(0.0, arguments[LIMIT].number);

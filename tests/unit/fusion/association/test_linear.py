@@ -115,7 +115,8 @@ def test_round_finds_the_view_that_is_displaced_and_the_one_that_is_not(
     data, trial = visit(camera, robot)
     displaced = trial.pictures.views[DISPLACED]
     displaced.pixels[:] += 25.0
-    trial = Trial(trial.pictures, trial.camera, trial.poses, trial.wrong)
+    pictures = Pictures(data, trial.pictures.observations, Events())
+    trial = Trial(pictures, trial.camera, trial.poses, trial.wrong)
     both = Work.SOLVE | Work.JUDGE
     assert trial.round(both | Work.ROBUST, huber=3.0) is Ending.JUDGED_OTHERWISE
     for _ in range(4):
