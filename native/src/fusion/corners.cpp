@@ -138,14 +138,22 @@ void PictureEquations::set(const Picture& picture, const double* variances, doub
         const Eigen::Matrix<double, 6, Eigen::Dynamic> fit = shared.fit(rows_);
         rows_ -= by_seen_ * fit;
         own_ = known.cwiseSqrt().cwiseInverse().asDiagonal() * fit;
-        square = rows_.transpose() * rows_;
-        square += own_.transpose() * own_;
+        set_square();
         cost += square(columns, columns);
         log_determinant = shared.log_determinant();
     } else {
         own_.setZero(6, columns + 1);
-        square = rows_.transpose() * rows_;
+        set_square();
     }
+}
+
+// Half of it is worked out, the other is the same.
+void PictureEquations::set_square() {
+    square.setZero(rows_.cols(), rows_.cols());
+    auto lower = square.selfadjointView<Eigen::Lower>();
+    lower.rankUpdate(rows_.transpose());
+    lower.rankUpdate(own_.transpose());
+    square.triangularView<Eigen::StrictlyUpper>() = square.transpose();
 }
 
 Eigen::MatrixXd PictureEquations::factor() const {

@@ -48,6 +48,8 @@ struct PictureEquations {
     Eigen::MatrixXd factor() const;
 
 private:
+    void set_square();
+
     Eigen::Matrix<double, 6, Eigen::Dynamic> own_;  // of the deviation's prior
     RowMajor rows_;
     ByPoses by_seen_;

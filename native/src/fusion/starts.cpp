@@ -21,6 +21,7 @@ using Symmetric = Eigen::Map<const Matrix6d>;
 // A pair of ways whose positions, or orientations, differ by more than this many sigmas, by the
 // traces of their covariances alone, would fail any chi-squared gate by their full covariance too.
 constexpr double FAR_SIGMAS = 7;
+constexpr double NEVER = std::numeric_limits<double>::infinity();
 
 // What `tp_start_costs` is given, in its order.
 enum Given {
@@ -57,7 +58,7 @@ struct Way {
     std::int64_t sighting, picture;
     Pose camera_from_base, map_from_base;
     Symmetric covariance, deviation;
-    double excess, own_shifts, own_turns;
+    double excess, own_shifts, own_turns, least_room;
 
     Way(const Argument* arguments, Index index)
         : sighting(wholes(arguments, SIGHTINGS)[index]),
@@ -69,7 +70,14 @@ struct Way {
           deviation(numbers(arguments, DEVIATIONS) + 36 * picture),
           excess(numbers(arguments, EXCESS)[index]),
           own_shifts(shifts(covariance) + shifts(deviation)),
-          own_turns(turns(covariance) + turns(deviation)) {}
+          own_turns(turns(covariance) + turns(deviation)),
+          least_room(room(Eigen::LLT<Matrix6d>(covariance))) {}
+
+    // ln|S| of a covariance by its root.
+    static double room(const Eigen::LLT<Matrix6d>& root) {
+        if (root.info() != Eigen::Success) return -std::numeric_limits<double>::infinity();
+        return 2 * root.matrixLLT().diagonal().array().log().sum();
+    }
 };
 
 // A covariance in the axes that `turn` takes to those that it is in.
@@ -106,44 +114,54 @@ public:
           others_(static_cast<std::size_t>(pictures)),
           is_known_(static_cast<std::size_t>(pictures)) {}
 
-    // The cost of taking another way to be right, too: infinite where that is out of question.
-    double cost(const Way& other, double most_room) {
-        constexpr double NEVER = std::numeric_limits<double>::infinity();
-        const Symmetric drift(drift_ + 36 * other.picture);
-        const Vector3d arm =
-            other.camera_from_base.translation - seed_.camera_from_base.translation;
-        const double variance = own_shifts_ + arm.squaredNorm() * by_square_ + other.own_shifts +
-                                shifts(drift);
+    // What the cost of taking another way to be right, too, is at least: by its position or its
+    // orientation alone. Infinite where that is out of question.
+    double least_cost(const Way& other, double most_room) const {
+        const Symmetric drift = of(other);
+        const Vector3d arm = arm_to(other);
+        const double variance =
+            own_shifts_ + arm.squaredNorm() * by_square_ + other.own_shifts + shifts(drift);
         const Vector3d shift = camera_.rotation * other.camera_from_base.translation +
                                (camera_.translation - other.map_from_base.translation);
-        if (!(shift.squaredNorm() < FAR_SIGMAS * FAR_SIGMAS * variance)) return NEVER;
         const Matrix3d seen = camera_.rotation * other.camera_from_base.rotation;
-        const double squared_turn = 3 - seen.cwiseProduct(other.map_from_base.rotation).sum(),
-                     turn_variance = seed_.own_turns + other.own_turns + turns(drift);
-        if (!(squared_turn < FAR_SIGMAS * FAR_SIGMAS * turn_variance)) return NEVER;
+        // 2 - 2 cos θ, which is less than θ².
+        const double turn = 3 - seen.cwiseProduct(other.map_from_base.rotation).sum(),
+                     turn_variance = seed_.own_turns + other.own_turns + turns(drift),
+                     pull = std::max(shift.squaredNorm() / variance, turn / turn_variance);
+        if (!(pull < FAR_SIGMAS * FAR_SIGMAS)) return NEVER;
+        return pull + std::min(other.least_room, most_room) + other.excess;
+    }
+
+    // That cost.
+    double cost(const Way& other, double most_room) {
         // An error of the seed's own pose swings the robot in the other picture about where it is
         // in the seed's.
-        const Matrix6d spread = swung(arm, own_) + other.covariance + of_picture(other, drift);
+        const Matrix6d spread = swung(arm_to(other), own_) + other.covariance + of_picture(other);
         const Eigen::LLT<Matrix6d> root(spread);
         if (root.info() != Eigen::Success) return NEVER;
         Vector6d pull = camera_.times(other.camera_from_base).difference(other.map_from_base);
         pull << camera_.rotation.transpose() * pull.head<3>(),
             camera_.rotation.transpose() * pull.tail<3>();
         root.matrixL().solveInPlace(pull);
-        const double room = 2 * root.matrixLLT().diagonal().array().log().sum(),
-                     cost = pull.squaredNorm() + std::min(room, most_room) + other.excess;
+        const double cost =
+            pull.squaredNorm() + std::min(Way::room(root), most_room) + other.excess;
         return std::isfinite(cost) ? cost : NEVER;
     }
 
 private:
     // What is not known of the robot in another picture, given where it was in the seed's.
-    const Matrix6d& of_picture(const Way& other, const Symmetric& drift) {
+    const Matrix6d& of_picture(const Way& other) {
         const auto picture = static_cast<std::size_t>(other.picture);
         if (!is_known_[picture]) {
-            others_[picture] = turned_back(camera_.rotation, other.deviation + drift);
+            others_[picture] = turned_back(camera_.rotation, other.deviation + of(other));
             is_known_[picture] = true;
         }
         return others_[picture];
+    }
+
+    Symmetric of(const Way& other) const { return Symmetric(drift_ + 36 * other.picture); }
+    Vector3d arm_to(const Way& other) const {
+        return other.camera_from_base.translation - seed_.camera_from_base.translation;
     }
 
     const Way& seed_;
@@ -183,14 +201,28 @@ TRIGPOINT_KERNEL(tp_start_costs) {
     std::vector<Way> every;
     every.reserve(static_cast<std::size_t>(ways));
     for (Index n = 0; n < ways; ++n) every.emplace_back(arguments, n);
+    const double most_room = arguments[MOST_ROOM].number;
+    std::vector<double> least(every.size());
+    std::vector<std::size_t> likeliest(static_cast<std::size_t>(sightings));
     for (Index s = 0; s < seeds; ++s, costs += sightings) {
         const Way& seed = every[static_cast<std::size_t>(wholes(arguments, SEEDS)[s])];
         Start start(seed, numbers(arguments, DRIFT) + 36 * seed.picture * pictures, pictures);
-        for (const Way& other : every) {
-            if (other.sighting == seed.sighting) continue;
-            const double cost = start.cost(other, arguments[MOST_ROOM].number);
-            costs[other.sighting] = std::min(costs[other.sighting], cost);
+        const auto look = [&](std::size_t n) {
+            double& cost = costs[every[n].sighting];
+            if (!(least[n] < cost)) return;
+            cost = std::min(cost, start.cost(every[n], most_room));
+            least[n] = NEVER;
+        };
+        std::fill(likeliest.begin(), likeliest.end(), every.size());
+        for (std::size_t n = 0; n < every.size(); ++n) {
+            const bool is_seed = every[n].sighting == seed.sighting;
+            least[n] = is_seed ? NEVER : start.least_cost(every[n], most_room);
+            std::size_t& best = likeliest[static_cast<std::size_t>(every[n].sighting)];
+            if (best == every.size() || least[n] < least[best]) best = n;
         }
+        for (const std::size_t n : likeliest)
+            if (n < every.size()) look(n);
+        for (std::size_t n = 0; n < every.size(); ++n) look(n);
         costs[seed.sighting] = std::min(0.0, arguments[LIMIT].number);
     }
     return 0;
