@@ -62,13 +62,12 @@ def _given(graph: Graph, placed: Placed, which: int | Place) -> tuple[np.ndarray
     camera from there, with their covariances and evidence."""
     if not isinstance(which, int):
         rows = placed.layout.places[which]
-        return placed.places[which].rows(), rows, _THERE, _EXACTLY, _NO_EVIDENCE
+        return placed.poses[[placed.layout.at[which]]], rows, _THERE, _EXACTLY, _NO_EVIDENCE
     robot, node = graph.visits[which].visit.robot, graph.node_of[which]
     rows = np.full(6, -1)
     rows[graph.paths[robot].tangent] = placed.layout.nodes[robot][node]
-    seen = graph.relative(which)[0].rows()
     return (
-        *(placed.nodes[robot][node].rows(), rows, seen),
+        *(placed.poses[[placed.layout.first[robot] + node]], rows, graph.seen_rows(which)),
         *(graph.spread(which), graph.evidence(which)),
     )
 
@@ -76,7 +75,7 @@ def _given(graph: Graph, placed: Placed, which: int | Place) -> tuple[np.ndarray
 def seen_by(graph: Graph, placed: Placed, number: int) -> Seen:
     """Return where the modes of a visit put its camera, given the graph's estimate."""
     robot, node = graph.visits[number].visit.robot, graph.node_of[number]
-    base, tangent = placed.nodes[robot][node], graph.paths[robot].tangent
+    base, tangent = placed.node(robot, node), graph.paths[robot].tangent
     pose = base @ graph.relative(number)[0]
     by_base = lever(pose.translation - base.translation)
     turn = turned_axes(base.rotation)

@@ -16,6 +16,7 @@ from trigpoint.base.clock import to_ns
 from trigpoint.fusion.model.assembly import lens_sigmas
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.geometry import Pose
+from trigpoint.geometry.pose import rows_of
 from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.uncertainty import turned_axes
 
@@ -44,27 +45,38 @@ class Tie:
 @dataclass(frozen=True, slots=True)
 class Layout:
     """The rows of a graph's `size` unknowns: by robot of its `nodes` (n, d) and odometry `scales`
-    (2,), of each place (6,), and by camera of its `own` unknowns (lens, clock)."""
+    (2,), of each place (6,), and by camera of its `own` unknowns (lens, clock). Of its poses, all
+    robots' nodes and then the places: each robot's `first`, and where each place is (`at`)."""
 
     size: int
     nodes: dict[str, np.ndarray]
     scales: dict[str, np.ndarray]
     places: dict[Place, np.ndarray]
     own: dict[str, np.ndarray]
+    first: dict[str, int]
+    at: dict[Place, int]
 
 
 @dataclass(frozen=True, slots=True)
 class Placed:
-    """A graph at its minimum, with its `score`. `nodes`: by robot, its poses at the beginnings of
-    its visits; `breaks`: where it was lifted between two of them; `places`: poses of the cameras;
+    """A graph at its minimum, with its `score`. `poses` (n, 12): rows of the robots at the
+    beginnings of their visits and of the cameras, as in `layout`; `ties`, `breaks`: of its variant;
     `factor`: of the information matrix, whose rows are those of `layout`."""
 
     score: float
-    nodes: dict[str, Pose]
+    poses: Array
+    ties: Mapping[int, Tie]
     breaks: frozenset[Break]
-    places: dict[Place, Pose]
     layout: Layout
     factor: Factor
+
+    def node(self, robot: str, node: int) -> Pose:
+        """Return a robot's pose at the beginning of a visit."""
+        return Pose.from_rows(self.poses[self.layout.first[robot] + node])
+
+    def place(self, place: Place) -> Pose:
+        """Return a camera's pose."""
+        return Pose.from_rows(self.poses[self.layout.at[place]])
 
     def covariance(self, rows: np.ndarray) -> Array:
         """Return the marginal covariance (k, k) of the unknowns in these rows."""
@@ -85,7 +97,7 @@ class Variant:
 
 class Graph:
     """What the pose graphs of all explanations of one session's visits are made of; `minimum`
-    solves them."""
+    solves them. `odometry` (n, 12): all robots' nodes by odometry alone."""
 
     def __init__(self, data: DataSet, visits: list[VisitModes], events: Events) -> None:
         self.data, self.visits, self.events = data, visits, events
@@ -115,6 +127,8 @@ class Graph:
         }
         self._ways: dict[tuple[str, frozenset[int]], Way] = {}
         self._relative = [self._seen_from(number, v.modes) for number, v in enumerate(visits)]
+        self._seen_rows = [seen.rows() for seen, _ in self._relative]
+        self.odometry = rows_of(path.odometry for path in self.paths.values())
         self._own_values = [
             np.array([own_values(data, v.visit.camera, mode) for mode in v.modes]) for v in visits
         ]
@@ -166,9 +180,13 @@ class Graph:
         stamp_ns, index = picture
         return stamp_ns - to_ns(self.visits[number].modes[0].early_s), index
 
+    def silent(self, nothing: frozenset[int]) -> frozenset[int]:
+        """Return those of these visits that would show a step, were they not wrong."""
+        return nothing & self._showing
+
     def way(self, robot: str, nothing: frozenset[int]) -> Way:
         """Return a robot's steps as odometry and all visits but `nothing` show them."""
-        silent = nothing & self._showing
+        silent = self.silent(nothing)
         if (robot, silent) not in self._ways:
             way = Way.of(self.paths[robot]).with_seen(self.seen(robot, silent))
             self._ways[robot, silent] = way
@@ -217,6 +235,10 @@ class Graph:
     def relative(self, number: int) -> tuple[Pose, Array]:
         """Return base_from_camera (k) of a visit's modes, and their information (k, q, q)."""
         return self._relative[number]
+
+    def seen_rows(self, number: int) -> Array:
+        """Return base_from_camera of a visit's modes, (k, 12)."""
+        return self._seen_rows[number]
 
     def own_values(self, number: int) -> Array:
         """Return the values (k, o) of the camera's lens and clock that a visit's modes estimate."""
@@ -289,24 +311,26 @@ class Graph:
         return apart_ns >= _CLOCK_SIGMAS * float(np.hypot(sigma, other_sigma))
 
     def layout(self, places: Sequence[Place]) -> Layout:
-        """Lay out the unknowns of a graph with all robots' nodes and these places."""
-        size = 0
+        """Lay out the unknowns and poses of a graph with all robots' nodes and these places."""
+        size = count = 0
 
-        def rows(count: int) -> np.ndarray:
+        def rows(some: int) -> np.ndarray:
             nonlocal size
-            size += count
-            return np.arange(size - count, size)
+            size += some
+            return np.arange(size - some, size)
 
-        nodes, scales = {}, {}
+        nodes, scales, first = {}, {}, {}
         for robot, path in self.paths.items():
             d = len(path.tangent)
             nodes[robot] = rows(len(path.stamps_ns) * d).reshape(-1, d)
+            first[robot], count = count, count + len(path.stamps_ns)
             if np.any(path.scale_sigma > 0):
                 scales[robot] = rows(2)
-        at = {place: rows(6) for place in places}
+        of_places = {place: rows(6) for place in places}
         cameras = dict.fromkeys(camera for camera, _ in places)
         own = {c: rows(len(self.own_prior[c][0])) for c in cameras if c in self.own_prior}
-        return Layout(size, nodes, scales, at, own)
+        at = {place: count + order for order, place in enumerate(places)}
+        return Layout(size, nodes, scales, of_places, own, first, at)
 
 
 def _clock(data: DataSet, found: VisitModes) -> tuple[float, float]:

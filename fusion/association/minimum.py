@@ -1,19 +1,20 @@
 """The minimum of an explanation's graph, found by the core (`native/src/fusion/graph.cpp`)."""
 
+from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from trigpoint.geometry import Pose
 from trigpoint.geometry.pose import rows_of
 from trigpoint.geometry.rotation import Array
 from trigpoint.native.library import In, Kernel, Out
 
 from .factor import Factor
-from .graph import Graph, Placed, Variant
-from .initial_values import initial_values
+from .graph import Graph, Layout, Place, Placed, Variant
+from .initial_values import initial_poses
 from .linear import HELD
-from .path import Steps, Way
+from .path import Steps
 
 # The bound of scale errors: no odometry is so far off, and a step beyond it comes from where the
 # linearisation is not valid.
@@ -36,214 +37,214 @@ MINIMUM = Kernel(
 )
 
 
-def placed(graph: Graph, variants: Sequence[Variant]) -> list[Placed | None]:
-    """Return the minimum of each variant's graph; None where it is not determined."""
-    return [_Minimum(graph, variant).found() for variant in variants]
+@dataclass(frozen=True, slots=True)
+class _Terms:
+    """What is the same in all graphs of a layout: the unknowns of each pose, -1 where a direction
+    is held (`pose_rows` (n, 6)); the priors on poses (`absolute`); of the values (scale errors,
+    then the cameras' own unknowns) the bounds, rows, prior means and information, and where each
+    camera's begin (`own`); and the part of the score that does not depend on anything else."""
+
+    layout: Layout
+    pose_rows: np.ndarray
+    absolute: tuple[np.ndarray, Array, Array]
+    bounds: Array
+    value_rows: np.ndarray
+    mean: Array
+    information: Array
+    own: dict[str, slice]
+    constant: float
 
 
-class _Minimum:
-    """One variant's graph as the core takes it: poses (all robots' nodes, then the places), values
-    (scale errors, then the cameras' own unknowns), and what is said of them."""
+@dataclass(frozen=True, slots=True)
+class _Way:
+    """The motions (m) between one robot's nodes: by odometry, or by a visit that shows one more
+    precisely; where the robot was lifted, by a visit alone, if one shows it. `terms`: as the core
+    takes them; `score`: what their noise adds."""
 
-    def __init__(self, graph: Graph, variant: Variant) -> None:
-        self.graph, self.variant = graph, variant
-        self.ties = sorted(variant.ties.items())
-        keys = {(graph.visits[n].visit.camera, tie.place) for n, tie in self.ties}
-        known = graph.data.known.poses
-        self.layout = layout = graph.layout(sorted(keys | {(camera, 0) for camera in known}))
-        nodes, places = initial_values(graph, variant)
-        self.first: dict[str, int] = {}
-        count = 0
-        for robot in graph.paths:
-            self.first[robot], count = count, count + len(nodes[robot])
-        self.place = {key: count + order for order, key in enumerate(layout.places)}
-        self.poses = rows_of(
-            [*(nodes[robot] for robot in graph.paths), *(places[key] for key in layout.places)]
-        )
-        self.ways = {robot: _way(graph, robot, variant) for robot in graph.paths}
-        self._set_values()
+    terms: tuple[np.ndarray, Array, Array, Array, Array]
+    score: float
 
-    def _set_values(self) -> None:
-        """Lay out the values: where each robot's scale errors and each camera's own begin."""
-        graph, layout = self.graph, self.layout
-        self.value: dict[str, int] = {}
-        self.own: dict[str, int] = {}
-        values, bounds, rows = list[Array](), list[Array](), list[np.ndarray]()
-        mean, information = list[Array](), list[Array]()
-        count = 0
-        for robot, mine in layout.scales.items():
-            sigma = graph.paths[robot].scale_sigma
-            held = np.where(sigma > 0, sigma, HELD)
-            self.value[robot], count = count, count + 2
-            values.append(np.zeros(2))
-            bounds.append(np.full(2, _FAR_OFF))
-            mean.append(np.zeros(2))
-            information.append(held**-2.0)
-            rows.append(mine)
-        for camera, mine in layout.own.items():
-            expected, sigma = graph.own_prior[camera]
-            said = [(n, tie) for n, tie in self.ties if graph.visits[n].visit.camera == camera]
-            self.own[camera], count = count, count + len(mine)
-            values.append(graph.own_values(said[-1][0])[said[-1][1].mode] if said else expected)
-            bounds.append(np.full(len(mine), np.inf))
-            mean.append(expected)
-            # The information of each tie includes this prior, which counts only once in all.
-            information.append((1 - len(said)) / sigma**2)
-            rows.append(mine)
-        none = np.zeros(0)
-        self.values, self.bounds = np.concatenate([none, *values]), np.concatenate([none, *bounds])
-        self.mean, self.information = (
-            np.concatenate([none, *mean]),
-            np.concatenate([none, *information]),
-        )
-        self.value_rows = np.concatenate([none, *rows]).astype(_WHOLE)
 
-    def found(self) -> Placed | None:
+class Minima:
+    """Solves the graphs of a session's explanations; what they share is laid out once."""
+
+    def __init__(self, graph: Graph) -> None:
+        self.graph = graph
+        self._terms: dict[frozenset[Place], _Terms] = {}
+        self._ways: dict[tuple[object, ...], _Way] = {}
+        visits = graph.visits
+        # Every mode of every visit: what it ties, and how well.
+        self._mode = np.cumsum([0, *(len(found.modes) for found in visits)]).tolist()
+        self._seen = np.concatenate([np.zeros((0, 12)), *map(graph.seen_rows, range(len(visits)))])
+        most = max((len(mean) for mean, _ in graph.own_prior.values()), default=0)
+        self._own = np.zeros((len(self._seen), most))
+        self._information = np.zeros((len(self._seen), 6 + most, 6 + most))
+        self._score = np.array([mode.score for found in visits for mode in found.modes], _REAL)
+        for number in range(len(visits)):
+            mine, own = slice(*self._mode[number : number + 2]), graph.own_values(number)
+            if mine.stop > mine.start:
+                size = 6 + own.shape[1]
+                self._own[mine, : own.shape[1]] = own
+                self._information[mine, :size, :size] = graph.relative(number)[1]
+
+    def placed(self, variants: Sequence[Variant]) -> list[Placed | None]:
+        """Return the minimum of each variant's graph; None where it is not determined."""
+        return [self._minimum(variant) for variant in variants]
+
+    def _minimum(self, variant: Variant) -> Placed | None:
         """Return the minimum; None where it is not determined, or its score is not finite."""
-        factor, score = Factor(), np.empty(2)
-        fixed = self._pose_rows(), *self._absolute()
-        ties = self._ties()
+        graph, ties = self.graph, sorted(variant.ties.items())
+        places = [(graph.visits[n].visit.camera, tie.place) for n, tie in ties]
+        terms = self._terms_of(frozenset(places))
+        layout, modes = terms.layout, [self._mode[n] + tie.mode for n, tie in ties]
+        values, information = terms.mean.copy(), terms.information.copy()
+        for camera, count in Counter(camera for camera, _ in places).items():
+            if camera in terms.own:
+                # The information of each tie includes this prior, which counts only once in all.
+                information[terms.own[camera]] *= 1 - count
+        ends = []
+        for (number, _), place, mode in zip(ties, places, modes, strict=True):
+            own = terms.own.get(place[0], slice(-1, -1))
+            node = layout.first[graph.visits[number].visit.robot] + graph.node_of[number]
+            ends.append((node, layout.at[place], own.start, own.stop - own.start))
+            values[own] = self._own[mode, : own.stop - own.start]
+        ends = np.array(ends, _WHOLE).reshape(-1, 4)
+        said = ends, self._seen[modes], self._information[modes], self._own[modes]
+        poses = initial_poses(graph, layout, variant)
+        factor, score, ways = Factor(), np.empty(2), list[_Way]()
+        steps = self._steps(layout, values)
         for _ in range(_MOST_SCALES):
-            steps = {robot: self._steps(robot) for robot in self.graph.paths}
+            ways = [self._way(robot, layout, variant, each) for robot, each in steps.items()]
             is_found = MINIMUM(
                 factor,
-                *(self.poses, fixed[0]),
-                *(self.values, self.bounds, self.value_rows),
-                *fixed[1:],
-                *(self.mean, self.information),
-                *self._moved(steps),
-                *ties,
+                *(poses, terms.pose_rows),
+                *(values, terms.bounds, terms.value_rows),
+                *terms.absolute,
+                *(terms.mean, information),
+                *(np.concatenate(part) for part in zip(*(way.terms for way in ways), strict=True)),
+                *said,
                 score,
             )
             if not is_found:
                 return None
-            if all(self._steps(robot) is each for robot, each in steps.items()):
+            before, steps = steps, self._steps(layout, values)
+            if all(steps[robot] is each for robot, each in before.items()):
                 break
-        total = float(score.sum()) + self._constant()
-        return self._placed(total, factor) if np.isfinite(total) else None
+        total = float(score.sum() + self._score[modes].sum()) + terms.constant
+        total += sum(way.score for way in ways)
+        if not np.isfinite(total):
+            return None
+        return Placed(total, poses, variant.ties, variant.breaks, layout, factor)
 
-    def _placed(self, score: float, factor: Factor) -> Placed:
-        def pose(first: int, count: int) -> Pose:
-            part = self.poses[first : first + count]
-            return Pose(part[:, :9].reshape(-1, 3, 3), part[:, 9:])
+    def _steps(self, layout: Layout, values: Array) -> dict[str, Steps]:
+        """Return each robot's motions by odometry at its current scale errors, which are the first
+        of the values."""
+        scales = dict.fromkeys(self.graph.paths, np.zeros(2))
+        scales |= {robot: values[2 * n : 2 * n + 2] for n, robot in enumerate(layout.scales)}
+        return {robot: path.steps(scales[robot]) for robot, path in self.graph.paths.items()}
 
-        nodes = {
-            robot: pose(first, len(self.graph.paths[robot].stamps_ns))
-            for robot, first in self.first.items()
-        }
-        places = {key: pose(at, 1)[0] for key, at in self.place.items()}
-        return Placed(score, nodes, self.variant.breaks, places, self.layout, factor)
+    def _way(self, robot: str, layout: Layout, variant: Variant, by_odometry: Steps) -> _Way:
+        """Return what constrains a robot's motions; kept where it was not lifted."""
+        gaps = sorted(step for name, step in variant.breaks if name == robot)
+        key = robot, self.graph.silent(variant.nothing), *by_odometry.about.tolist()
+        if gaps or key not in self._ways:
+            made = self._made_way(robot, layout, variant.nothing, gaps, by_odometry)
+            if gaps:
+                return made
+            self._ways[key] = made
+        return self._ways[key]
 
-    def _constant(self) -> float:
-        """Return the part of the score that does not depend on the unknowns' values."""
+    def _made_way(
+        self,
+        robot: str,
+        layout: Layout,
+        nothing: frozenset[int],
+        gaps: list[int],
+        by_odometry: Steps,
+    ) -> _Way:
+        graph, path = self.graph, self.graph.paths[robot]
+        way, room, anywhere = graph.way(robot, nothing), graph.room(path), list[int]()
+        for step in gaps:
+            across = graph.across((robot, step), nothing)
+            way = way.broken(step, across)
+            if across is None:
+                anywhere.append(step)
+        count = len(by_odometry.motion)
+        ends = np.zeros((count, 4), _WHOLE)
+        ends[:, 0] = layout.first[robot] + np.arange(count)
+        ends[:, 1], ends[:, 2] = ends[:, 0] + 1, -1
+        if robot in layout.scales:
+            ends[:, 2] = 2 * list(layout.scales).index(robot)
+        ends[anywhere, 3] = 1
+        motion, by_scale = by_odometry.motion.rows(), by_odometry.by_scale.copy()
+        about = np.tile(by_odometry.about, (count, 1))
+        motion[way.steps], by_scale[way.steps], about[way.steps] = (
+            *(way.motion.rows(), way.by_scale),
+            0.0,
+        )
+        information = _whole(way.information, path.tangent)
+        # Only the prior of the room keeps such a step determined.
+        information[anywhere] = _whole(np.diag(1 / room)[None], path.tangent)
+        score = float(way.log_covariance.sum() + len(gaps) * np.log(room).sum())
+        return _Way((ends, motion, information, by_scale, about), score)
+
+    def _terms_of(self, places: frozenset[Place]) -> _Terms:
+        if places not in self._terms:
+            self._terms[places] = self._made_terms(places)
+        return self._terms[places]
+
+    def _made_terms(self, places: frozenset[Place]) -> _Terms:
+        """Return what is the same in all graphs with these places, and those of the cameras that
+        are known from before."""
         graph, known = self.graph, self.graph.data.known.poses
-        score = 0.0
-        for robot, (way, _) in self.ways.items():
-            lifts = sum(name == robot for name, _ in self.variant.breaks)
-            room = float(np.sum(np.log(graph.room(graph.paths[robot]))))
-            score += float(way.log_covariance.sum()) + lifts * room
-        unknown = sum(place > 0 or camera not in known for camera, place in self.layout.places)
-        score += unknown * graph.events.pose_score
-        for camera in self.layout.own:
-            score += 2 * float(np.sum(np.log(graph.own_prior[camera][1])))
-        return score + sum(graph.visits[n].modes[tie.mode].score for n, tie in self.ties)
+        layout = graph.layout(sorted(places | {(camera, 0) for camera in known}))
+        rows = np.full((len(graph.odometry) + len(layout.at), 6), -1, dtype=_WHOLE)
+        for robot, mine in layout.nodes.items():
+            first = layout.first[robot]
+            rows[first : first + len(mine), graph.paths[robot].tangent] = mine
+        for place, mine in layout.places.items():
+            rows[layout.at[place]] = mine
+        sigmas = [graph.paths[robot].scale_sigma for robot in layout.scales]
+        scales = np.concatenate([np.zeros(0), *sigmas])
+        own, priors, count = {}, [graph.own_prior[camera] for camera in layout.own], len(scales)
+        for camera, mine in layout.own.items():
+            own[camera], count = slice(count, count + len(mine)), count + len(mine)
+        sigma = np.concatenate([np.where(scales > 0, scales, HELD), *(each for _, each in priors)])
+        unknown = sum(place > 0 or camera not in known for camera, place in layout.places)
+        constant = unknown * graph.events.pose_score
+        return _Terms(
+            layout,
+            rows,
+            self._absolute(layout),
+            np.where(np.arange(count) < len(scales), _FAR_OFF, np.inf),
+            np.concatenate([np.zeros(0, _WHOLE), *layout.scales.values(), *layout.own.values()]),
+            np.concatenate([np.zeros(len(scales)), *(mean for mean, _ in priors)]),
+            sigma**-2.0,
+            own,
+            constant + 2 * float(np.log(sigma[len(scales) :]).sum()),
+        )
 
-    # -- what is said -----------------------------------------------------------------------------
-
-    def _pose_rows(self) -> np.ndarray:
-        """Return the rows (n, 6) of the poses' unknowns, -1 where a direction is held."""
-        rows = np.full((len(self.poses), 6), -1, dtype=_WHOLE)
-        for robot, mine in self.layout.nodes.items():
-            first = self.first[robot]
-            rows[first : first + len(mine), self.graph.paths[robot].tangent] = mine
-        for key, mine in self.layout.places.items():
-            rows[self.place[key]] = mine
-        return rows
-
-    def _absolute(self) -> tuple[np.ndarray, Array, Array]:
+    def _absolute(self, layout: Layout) -> tuple[np.ndarray, Array, Array]:
         """Return the priors on poses: of a path's first, anywhere in the room unless the path is
         the anchored one, and of the cameras known from before, each by its marginal information."""
+        graph = self.graph
         which, expected, information = [], [], []
-        for robot, path in self.graph.paths.items():
-            variance = self.graph.room(path)
+        for robot, path in graph.paths.items():
+            variance = graph.room(path)
             if path.is_anchored:
                 variance = np.full(len(variance), HELD**2)
-            which.append(self.first[robot])
+            which.append(layout.first[robot])
             expected.append(path.odometry[0])
             information.append(_whole(np.diag(1 / variance)[None], path.tangent)[0])
-        for order, (name, pose) in enumerate(self.graph.data.known.poses.items()):
-            which.append(self.place[name, 0])
+        for order, (name, pose) in enumerate(graph.data.known.poses.items()):
+            which.append(layout.at[name, 0])
             expected.append(pose)
-            information.append(self.graph.known_information(order))
+            information.append(graph.known_information(order))
         return (
             np.array(which, dtype=_WHOLE),
             rows_of(expected),
             np.array(information).reshape(-1, 6, 6),
         )
-
-    def _steps(self, robot: str) -> Steps:
-        """Return a robot's motions by odometry at its current scale errors."""
-        at = self.value.get(robot)
-        scales = np.zeros(2) if at is None else self.values[at : at + 2]
-        return self.graph.paths[robot].steps(scales)
-
-    def _moved(self, steps: dict[str, Steps]) -> tuple[np.ndarray, Array, Array, Array, Array]:
-        """Return the motions between nodes: by odometry, or by a visit that shows one more
-        precisely; where the robot was lifted, by a visit alone, if one shows it."""
-        count = sum(len(each.motion) for each in steps.values())
-        ends, motion = np.zeros((count, 4), dtype=_WHOLE), np.empty((count, 12))
-        information, by_scale = np.empty((count, 6, 6)), np.empty((count, 6, 2))
-        about, start = np.zeros((count, 2)), 0
-        for robot, by_odometry in steps.items():
-            path, (way, anywhere) = self.graph.paths[robot], self.ways[robot]
-            mine = slice(start, start + len(by_odometry.motion))
-            start = mine.stop
-            ends[mine, 0] = self.first[robot] + np.arange(len(by_odometry.motion))
-            ends[mine, 1], ends[mine, 2] = ends[mine, 0] + 1, self.value.get(robot, -1)
-            motion[mine], by_scale[mine] = rows_of([by_odometry.motion]), by_odometry.by_scale
-            about[mine] = by_odometry.about
-            shown, free = mine.start + way.steps, mine.start + np.array(anywhere, dtype=int)
-            motion[shown], by_scale[shown], about[shown] = rows_of([way.motion]), way.by_scale, 0.0
-            information[mine] = _whole(way.information, path.tangent)
-            # Only the prior of the room keeps such a step determined.
-            information[free] = _whole(np.diag(1 / self.graph.room(path))[None], path.tangent)
-            ends[free, 3] = 1
-        return ends, motion, information, by_scale, about
-
-    def _ties(self) -> tuple[np.ndarray, Array, Array, Array]:
-        """Return the poses of cameras relative to the robot, and the cameras' own unknowns, that
-        visits show."""
-        graph = self.graph
-        most = max((len(mine) for mine in self.layout.own.values()), default=0)
-        ends = np.empty((len(self.ties), 4), dtype=_WHOLE)
-        seen, values = np.empty((len(ends), 12)), np.zeros((len(ends), most))
-        information = np.zeros((len(ends), 6 + most, 6 + most))
-        for row, (number, tie) in enumerate(self.ties):
-            visit = graph.visits[number].visit
-            said, known = graph.relative(number)
-            own = graph.own_values(number)[tie.mode]
-            place = self.place[visit.camera, tie.place]
-            ends[row, :2] = self.first[visit.robot] + graph.node_of[number], place
-            ends[row, 2:] = self.own.get(visit.camera, -1), len(own)
-            seen[row, :9], seen[row, 9:] = (
-                said.rotation[tie.mode].ravel(),
-                said.translation[tie.mode],
-            )
-            values[row, : len(own)] = own
-            information[row, : 6 + len(own), : 6 + len(own)] = known[tie.mode]
-        return ends, seen, information, values
-
-
-def _way(graph: Graph, robot: str, variant: Variant) -> tuple[Way, list[int]]:
-    """Return what constrains a robot's steps: odometry, visits, or nothing but the room; and the
-    steps of which that is so."""
-    way, anywhere = graph.way(robot, variant.nothing), []
-    for step in sorted(step for name, step in variant.breaks if name == robot):
-        across = graph.across((robot, step), variant.nothing)
-        way = way.broken(step, across)
-        if across is None:
-            anywhere.append(step)
-    return way, anywhere
 
 
 def _whole(information: Array, tangent: list[int]) -> Array:

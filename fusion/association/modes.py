@@ -10,7 +10,7 @@ from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.drift import Drift
 from trigpoint.fusion.model.observations import Observation, Reading, View
 from trigpoint.fusion.model.problem import CameraState
-from trigpoint.fusion.reading.faces import candidates, is_same_pose
+from trigpoint.fusion.reading.faces import are_same_pose, candidates
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
 
@@ -386,12 +386,13 @@ def wrong_by(mode: Mode) -> dict[int, tuple[bool, ...]]:
 
 def distinct(found: Iterable[Mode]) -> list[Mode]:
     """The modes that differ in the camera's pose or in their readings, best first."""
-    kept: list[Mode] = []
-    for mode in sorted(found, key=lambda mode: mode.evidence):
+    every = sorted(found, key=lambda mode: mode.evidence)
+    poses, kept = Pose.stack([mode.map_from_camera for mode in every]), list[int]()
+    for row, mode in enumerate(every):
+        alike = are_same_pose(poses[kept], poses[row]).tolist()
         if not any(
-            is_same_pose(mode.map_from_camera, other.map_from_camera)
-            and mode.readings == other.readings
-            for other in kept
+            is_same and every[other].readings == mode.readings
+            for other, is_same in zip(kept, alike, strict=True)
         ):
-            kept.append(mode)
-    return kept
+            kept.append(row)
+    return [every[row] for row in kept]

@@ -224,7 +224,7 @@ class Outcome:
         node = self.best.graph.node_of[number]
         start = self.best.graph.paths[visit.robot].odometry[node]
         seen = self.best.graph.seen_since(number, [mode])[0]
-        map_from_odom = self.chosen.placed.nodes[visit.robot][node] @ seen @ start.inverse()
+        map_from_odom = self.chosen.placed.node(visit.robot, node) @ seen @ start.inverse()
         return {
             index: Read(
                 mode.readings[index],

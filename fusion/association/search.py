@@ -17,7 +17,7 @@ from .budget import Budget
 from .events import Events, window
 from .graph import Break, Graph, Place, Placed, Tie, Variant
 from .hypothesis import Hypothesis
-from .minimum import placed
+from .minimum import Minima
 from .told_moves import ToldMoves, of_camera
 
 # A partial explanation may win back what its score has lost so far, and no window bounds how much.
@@ -56,6 +56,7 @@ class Search:
         self.graph, self.events, self.budget = graph, events, budget
         self.visits, self.is_cut = graph.visits, False
         self.told = ToldMoves(graph)
+        self._graphs = Minima(graph)
         self._open_score = [
             _log_sum(graph.evidence(number).tolist()) + events.pose_score
             for number in range(len(self.visits))
@@ -99,7 +100,7 @@ class Search:
         return self.scored(replace(like, ties=ties, breaks=breaks, placed=placed, is_stale=False))
 
     def _minima(self, variants: Sequence[Variant]) -> list[Placed | None]:
-        found = placed(self.graph, variants)
+        found = self._graphs.placed(variants)
         layouts = {frozenset((n, tie.place) for n, tie in v.ties.items()) for v in variants}
         unknowns = [each.layout.size for each in found if each is not None]
         self.budget.spend_placing(layouts=len(layouts), unknowns=unknowns)

@@ -193,7 +193,7 @@ class World:
         if there[0] in hypothesis.ties:
             key = camera, wanted
             covariance = placed.covariance(placed.layout.places[key])
-            return [Place(placed.places[key], covariance, score)]
+            return [Place(placed.place(key), covariance, score)]
         seen = seen_by(self.graph, placed, there[0])
         shared = placed.covariance(seen.rows)
         covariance = seen.by_unknowns @ shared @ np.swapaxes(seen.by_unknowns, 1, 2) + seen.own

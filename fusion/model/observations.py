@@ -7,6 +7,7 @@ turn»), the view has several readings; the chosen `Reading` is a hypothesis and
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
+from functools import cache
 
 import numpy as np
 
@@ -255,6 +256,9 @@ def points_of(observation: Observation, target: Target) -> Points:
     return Points(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
 
+@cache
 def base_from_faces(target: Target) -> Pose:
-    """All faces' poses on the robot, stacked in the target's order."""
-    return Pose.stack([face.base_from_face for face in target.faces])
+    """All faces' poses on the robot, stacked in the target's order; read-only."""
+    stacked = Pose.stack([face.base_from_face for face in target.faces])
+    stacked.rotation.flags.writeable = stacked.translation.flags.writeable = False
+    return stacked
