@@ -10,7 +10,8 @@ from trigpoint.fusion.model.observations import Observation
 from .events import Events
 from .linear import Linear
 from .local import LocalProblem
-from .modes import Memory, ModeFinder, VisitModes, wrong_by
+from .mode import Mode
+from .modes import Memory, ModeFinder, wrong_by
 from .noise import PESSIMISTIC, STATED, Noise, on_a_floor
 from .session_noise import with_noise
 from .variances import corner_scale, learn
@@ -51,15 +52,17 @@ def learnt_noise(
     scatters |= _scatters(data, observations, events, set(memory.lenses), memory)
     scales, common = _corner_scales(observations, scatters)
     seen = [memory.scattering(o, scales[o.camera]) for o in observations]
-    visits = [_with_neighbours(each.visit) for each in found if each.modes]
-    shown = [[seen[index].views for index in visit.chosen] for visit in visits]
-    key = [finder.key(each.visit) for each in found], shown
-    if memory.learnt[0] == key:
-        learnt = memory.learnt[1]
-    else:
-        learnt = _learnt(data, wide, seen, found, finder, memory)
-        if not memory.budget.is_spent:
-            memory.learnt = key, learnt
+    by_robot: dict[str, dict[tuple[object, ...], Linear]] = {}
+    for modes in found:
+        if not modes.modes:
+            continue
+        visit = _with_neighbours(modes.visit)
+        pictures = {index: seen[index] for index in visit.chosen}
+        key = *finder.key(modes.visit), *(each.views for each in pictures.values())
+        shown = memory.shown.get(key) or _shown(data, visit, pictures, modes.modes[0], finder)
+        if shown is not None:
+            by_robot.setdefault(visit.robot, {})[key] = memory.shown.put(key, shown)
+    learnt = {robot: _learnt(data, robot, mine, finder) for robot, mine in by_robot.items()}
     unknown = {
         robot: _unknown(common, events, planar=data.tracks[robot].planar)
         for robot in data.site.robots
@@ -106,37 +109,37 @@ def _worlds(
     return found
 
 
-def _learnt(
+def _shown(
     data: DataSet,
-    wide: DataSet,
-    seen: list[Observation],
-    found: list[VisitModes],
+    visit: Visit,
+    pictures: dict[int, Observation],
+    mode: Mode,
     finder: ModeFinder,
-    memory: Memory,
-) -> dict[str, tuple[Noise | None, ...]]:
-    """Return, by robot, the noise and its alternatives that visits with the modes `found` show.
-    `wide`: the data set with pessimistic noise, under which modes are solved."""
-    events = finder.events
-    by_robot: dict[str, list[Linear]] = {}
-    for modes in found:
-        if not modes.modes:
-            continue
-        visit = _with_neighbours(modes.visit)
-        pictures = {index: seen[index] for index in visit.chosen}
-        odometry, mode = finder.odometry(visit), modes.modes[0]
-        unscored = {index: (0.0,) * len(picture.views) for index, picture in pictures.items()}
-        more = LocalProblem(wide, pictures, odometry, unscored, events, memory.budget).mode_near(
-            mode.camera, wrong_by(mode)
-        )
-        if more is None:
-            continue
-        residuals = LocalProblem(data, pictures, odometry, {}, events).residuals(more)
-        if residuals is not None:
-            by_robot.setdefault(visit.robot, []).append(residuals)
-    return {
-        robot: learn(residuals, events, memory.budget, planar=data.tracks[robot].planar)
-        for robot, residuals in by_robot.items()
-    }
+) -> Linear | None:
+    """Return what these pictures of a visit show of the noise about one of its modes; None where
+    nothing. `finder`: with pessimistic noise, under which modes are solved."""
+    events, odometry = finder.events, finder.odometry(visit)
+    unscored = {index: (0.0,) * len(picture.views) for index, picture in pictures.items()}
+    more = LocalProblem(
+        finder.data, pictures, odometry, unscored, events, finder.memory.budget
+    ).mode_near(mode.camera, wrong_by(mode))
+    if more is None:
+        return None
+    return LocalProblem(data, pictures, odometry, {}, events).residuals(more)
+
+
+def _learnt(
+    data: DataSet, robot: str, shown: dict[tuple[object, ...], Linear], finder: ModeFinder
+) -> tuple[Noise | None, ...]:
+    """Return a robot's noise and its alternatives by what its visits show."""
+    memory, key = finder.memory, (robot, *shown)
+    found = memory.noise.get(key)
+    if found is None:
+        planar = data.tracks[robot].planar
+        found = learn(list(shown.values()), finder.events, memory.budget, planar=planar)
+        if not memory.budget.is_spent:
+            memory.noise.put(key, found)
+    return found
 
 
 def _with_neighbours(visit: Visit) -> Visit:

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from trigpoint.geometry.rotation import Array
 from .budget import Budget
 from .consensus import MOST_SEEDS, Start, drift_between, starts_of
 from .events import Events, window
+from .linear import Linear
 from .local import LocalProblem
 from .mode import Mode
 from .noise import Noise
@@ -24,6 +26,7 @@ from .pictures import PictureReader
 from .sightings import Alone, alone, by_itself, tamed
 from .visits import Visit
 
+_Value = TypeVar("_Value")
 # A mode that is worse than the best of its visit by this can only be right if other visits give
 # evidence for it that is as strong.
 _WINDOW = 2 * window()
@@ -49,12 +52,35 @@ class VisitModes:
         return all(mode.right_pictures == 1 for mode in self.modes)
 
 
+class Kept(Generic[_Value]):
+    """What was found, by key, from one search to the next; what one did not ask for is dropped."""
+
+    def __init__(self) -> None:
+        self._before: dict[tuple[object, ...], _Value] = {}
+        self._used: dict[tuple[object, ...], _Value] = {}
+
+    def get(self, key: tuple[object, ...]) -> _Value | None:
+        """What is cached by this key, which is thereby marked as used; None where nothing is."""
+        if key not in self._used and key in self._before:
+            self._used[key] = self._before[key]
+        return self._used.get(key)
+
+    def put(self, key: tuple[object, ...], found: _Value) -> _Value:
+        self._used[key] = found
+        return found
+
+    def forget_unused(self) -> None:
+        """Drop what was not asked for since the last call."""
+        self._before, self._used = self._used, {}
+
+
 class Memory:
     """Caches what was found of visits from one search to the next, since most visits of a growing
     session do not change. Not thread-safe.
 
-    `budget`: for what is not cached; `alone`: by view and lens, what each view says by itself;
-    `lenses`: by camera whose lens is estimated, the lens by its most informative visit so far.
+    `budget`: for what is not cached; `modes`: of visits; `alone`: by view and lens, what each view
+    says by itself; `lenses`: by camera whose lens is estimated, the lens by its most informative
+    visit so far; `shown`: what visits show of the noise, and `noise`: what was learnt from these.
     """
 
     def __init__(
@@ -63,13 +89,12 @@ class Memory:
         alone: dict[tuple[View, CameraModel], Alone] | None = None,
     ) -> None:
         self.budget = budget if budget is not None else Budget()
-        self._kept: dict[tuple[object, ...], VisitModes] = {}
-        self._used: dict[tuple[object, ...], VisitModes] = {}
+        self.modes = Kept[VisitModes]()
+        self.shown = Kept[Linear]()
+        self.noise = Kept[tuple[Noise | None, ...]]()
         self.alone = alone if alone is not None else {}
         self.lenses: dict[str, CameraModel] = {}
         self._told_by: dict[str, int] = {}
-        # The data from which the noise was last learnt, and the result.
-        self.learnt: tuple[object, dict[str, tuple[Noise | None, ...]]] = None, {}
         self._scattering: dict[tuple[object, ...], tuple[Observation, Observation]] = {}
 
     def scattering(self, observation: Observation, factor: float) -> Observation:
@@ -81,16 +106,6 @@ class Memory:
         if known is None or known[0] is not observation:
             known = self._scattering[key] = observation, observation.scattering(factor)
         return known[1]
-
-    def get(self, key: tuple[object, ...]) -> VisitModes | None:
-        """What is cached by this key, which is thereby marked as used; None where nothing is."""
-        found = self._kept.get(key)
-        if found is not None:
-            self._used[key] = found
-        return found
-
-    def put(self, key: tuple[object, ...], found: VisitModes) -> None:
-        self._kept[key] = self._used[key] = found
 
     def learn_lens(self, found: VisitModes) -> None:
         """Take the lens of a visit that has more chosen pictures than any before: a lens that is
@@ -110,7 +125,8 @@ class Memory:
 
     def forget_unused(self) -> None:
         """Drop what was not asked for since the last call."""
-        self._kept, self._used = self._used, {}
+        for kept in (self.modes, self.shown, self.noise):
+            kept.forget_unused()
 
 
 class ModeFinder:
@@ -188,12 +204,12 @@ class ModeFinder:
     def modes_of(self, visit: Visit) -> VisitModes:
         """All modes of a visit within the window; if not cached, none once the budget is spent."""
         key = self.key(visit)
-        found = self.memory.get(key)
+        found = self.memory.modes.get(key)
         if found is None and self.memory.budget.is_spent:
             return VisitModes(visit, (), 0.0, ())
         if found is None:
             found = self._modes_of(visit)
-            self.memory.put(key, found)
+            self.memory.modes.put(key, found)
         return found if found.visit == visit else renumbered(found, visit)
 
     def key(self, visit: Visit) -> tuple[object, ...]:
@@ -389,7 +405,7 @@ def distinct(found: Iterable[Mode]) -> list[Mode]:
     every = sorted(found, key=lambda mode: mode.evidence)
     poses, kept = Pose.stack([mode.map_from_camera for mode in every]), list[int]()
     for row, mode in enumerate(every):
-        alike = are_same_pose(poses[kept], poses[row]).tolist()
+        alike = are_same_pose(poses[np.array(kept, dtype=int)], poses[row]).tolist()
         if not any(
             is_same and every[other].readings == mode.readings
             for other, is_same in zip(kept, alike, strict=True)
