@@ -4,7 +4,6 @@ score if it is wrong."""
 import math
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 
 from trigpoint.fusion.model.observations import Observation, View, face_points, swept
@@ -128,6 +127,8 @@ def _on_one_plane(flat: Array, pixels: Array, lens: CameraModel, limit: float) -
     directions = lens.directions(pixels)
     if len(flat) <= _LEAST_GOOD or not np.all(np.isfinite(directions)):
         return np.ones(len(flat), dtype=bool)
+    import cv2  # 20 MB that only wild corners need
+
     _, mask = cv2.findHomography(flat[:, :2], directions, cv2.RANSAC, limit / lens.fx)
     return np.ones(len(flat), dtype=bool) if mask is None else mask.ravel().astype(bool)
 
