@@ -16,7 +16,7 @@ from .budget import ALIKE_SHARE, Budget
 from .events import Events, window
 from .explanation import Explanation
 from .learning import learnt_noise
-from .modes import Memory
+from .memory import Memory
 from .outcome import Outcome
 from .scales import with_learnt_scales
 from .world import World
@@ -55,6 +55,7 @@ def explain(
         parts = [each.visit for each in worlds[0].visits] if worlds else None
         worlds.append(World(data, seen, events, noise, memory, parts))
     _verify(worlds)
+    memory.trails = [world.trail for world in worlds]
     memory.forget_unused()
     return Outcome(worlds, seen, corner_scale, undecided, is_draft=is_draft).explanation()
 

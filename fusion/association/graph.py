@@ -23,8 +23,7 @@ from trigpoint.geometry.uncertainty import turned_axes
 from .events import Events
 from .factor import Factor
 from .linear import HELD
-from .mode import Mode
-from .modes import VisitModes
+from .mode import Mode, VisitModes
 from .path import Picture, RobotPath, VisualStep, Way, visual_step, watched_step
 
 _CLOCK_SIGMAS = 5.0

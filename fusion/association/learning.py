@@ -10,8 +10,9 @@ from trigpoint.fusion.model.observations import Observation
 from .events import Events
 from .linear import Linear
 from .local import LocalProblem
+from .memory import Memory
 from .mode import Mode
-from .modes import Memory, ModeFinder, wrong_by
+from .modes import ModeFinder, wrong_by
 from .noise import PESSIMISTIC, STATED, Noise, on_a_floor
 from .session_noise import with_noise
 from .variances import corner_scale, learn

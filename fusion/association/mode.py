@@ -10,6 +10,8 @@ from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.uncertainty import relative_jacobians
 
+from .visits import Visit
+
 
 @dataclass(frozen=True, slots=True)
 class Mode:
@@ -64,3 +66,19 @@ class Mode:
     def right_pictures(self) -> int:
         """How many pictures have a sighting that is right by the mode."""
         return sum(any(reading is not None for reading in row) for row in self.readings.values())
+
+
+@dataclass(frozen=True, slots=True)
+class VisitModes:
+    """A visit with its modes, best first. `nothing`: the score if all of its sightings are wrong;
+    `right`: (stamp_ns, index) of the chosen pictures in which every mode has a right sighting."""
+
+    visit: Visit
+    modes: tuple[Mode, ...]
+    nothing: float
+    right: tuple[tuple[int, int], ...]
+
+    @property
+    def is_one_picture(self) -> bool:
+        """Whether every mode rests on a single picture, all others being wrong."""
+        return all(mode.right_pictures == 1 for mode in self.modes)

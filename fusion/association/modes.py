@@ -2,31 +2,28 @@
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
-from typing import Generic, TypeVar
+from dataclasses import replace
 
 import numpy as np
 
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.drift import Drift
-from trigpoint.fusion.model.observations import Observation, Reading, View
+from trigpoint.fusion.model.observations import Observation, Reading
 from trigpoint.fusion.model.problem import CameraState
+from trigpoint.fusion.model.trajectory import odometry_poses
 from trigpoint.fusion.reading.faces import are_same_pose, candidates
-from trigpoint.geometry import CameraModel, Pose
+from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
-from .budget import Budget
 from .consensus import MOST_SEEDS, Start, drift_between, starts_of
 from .events import Events, window
-from .linear import Linear
 from .local import LocalProblem
-from .mode import Mode
-from .noise import Noise
+from .memory import Memory
+from .mode import Mode, VisitModes
 from .pictures import PictureReader
 from .sightings import Alone, alone, by_itself, tamed
 from .visits import Visit
 
-_Value = TypeVar("_Value")
 # A mode that is worse than the best of its visit by this can only be right if other visits give
 # evidence for it that is as strong.
 _WINDOW = 2 * window()
@@ -34,99 +31,6 @@ _WINDOW = 2 * window()
 _MOST_STARTS = 24
 _MOST_SPLITS = 3
 _MORE_WRONG = 2
-
-
-@dataclass(frozen=True, slots=True)
-class VisitModes:
-    """A visit with its modes, best first. `nothing`: the score if all of its sightings are wrong;
-    `right`: (stamp_ns, index) of the chosen pictures in which every mode has a right sighting."""
-
-    visit: Visit
-    modes: tuple[Mode, ...]
-    nothing: float
-    right: tuple[tuple[int, int], ...]
-
-    @property
-    def is_one_picture(self) -> bool:
-        """Whether every mode rests on a single picture, all others being wrong."""
-        return all(mode.right_pictures == 1 for mode in self.modes)
-
-
-class Kept(Generic[_Value]):
-    """What was found, by key, from one search to the next; what one did not ask for is dropped."""
-
-    def __init__(self) -> None:
-        self._before: dict[tuple[object, ...], _Value] = {}
-        self._used: dict[tuple[object, ...], _Value] = {}
-
-    def get(self, key: tuple[object, ...]) -> _Value | None:
-        """What is cached by this key, which is thereby marked as used; None where nothing is."""
-        if key not in self._used and key in self._before:
-            self._used[key] = self._before[key]
-        return self._used.get(key)
-
-    def put(self, key: tuple[object, ...], found: _Value) -> _Value:
-        self._used[key] = found
-        return found
-
-    def forget_unused(self) -> None:
-        """Drop what was not asked for since the last call."""
-        self._before, self._used = self._used, {}
-
-
-class Memory:
-    """Caches what was found of visits from one search to the next, since most visits of a growing
-    session do not change. Not thread-safe.
-
-    `budget`: for what is not cached; `modes`: of visits; `alone`: by view and lens, what each view
-    says by itself; `lenses`: by camera whose lens is estimated, the lens by its most informative
-    visit so far; `shown`: what visits show of the noise, and `noise`: what was learnt from these.
-    """
-
-    def __init__(
-        self,
-        budget: Budget | None = None,
-        alone: dict[tuple[View, CameraModel], Alone] | None = None,
-    ) -> None:
-        self.budget = budget if budget is not None else Budget()
-        self.modes = Kept[VisitModes]()
-        self.shown = Kept[Linear]()
-        self.noise = Kept[tuple[Noise | None, ...]]()
-        self.alone = alone if alone is not None else {}
-        self.lenses: dict[str, CameraModel] = {}
-        self._told_by: dict[str, int] = {}
-        self._scattering: dict[tuple[object, ...], tuple[Observation, Observation]] = {}
-
-    def scattering(self, observation: Observation, factor: float) -> Observation:
-        """`Observation.scattering`, cached, so that its views stay the same objects: cache keys."""
-        if factor == 1.0:
-            return observation
-        key = observation.camera, observation.robot, observation.stamp_ns, factor
-        known = self._scattering.get(key)
-        if known is None or known[0] is not observation:
-            known = self._scattering[key] = observation, observation.scattering(factor)
-        return known[1]
-
-    def learn_lens(self, found: VisitModes) -> None:
-        """Take the lens of a visit that has more chosen pictures than any before: a lens that is
-        only a little better is not worth recomputing everything."""
-        camera, pictures = found.visit.camera, len(found.visit.chosen)
-        if found.modes and pictures > self._told_by.get(camera, 0):
-            self.lenses[camera] = found.modes[0].camera.lens
-            self._told_by[camera] = pictures
-
-    def keep(self, observations: Iterable[Observation]) -> None:
-        """Drop what is of other observations than these."""
-        kept = {(o.camera, o.robot, o.stamp_ns): o for o in observations}
-        self._scattering = {k: found for k, found in self._scattering.items() if k[:3] in kept}
-        scattered = [found for _, found in self._scattering.values()]
-        views = {view for o in (*kept.values(), *scattered) for view in o.views}
-        self.alone = {key: found for key, found in self.alone.items() if key[0] in views}
-
-    def forget_unused(self) -> None:
-        """Drop what was not asked for since the last call."""
-        for kept in (self.modes, self.shown, self.noise):
-            kept.forget_unused()
 
 
 class ModeFinder:
@@ -325,7 +229,7 @@ class ModeFinder:
         track = self.data.tracks[visit.robot]
         stamps = np.array([self.observations[index].stamp_ns for index in visit.indices])
         inside = np.clip(stamps, track.first_ns, track.last_ns)
-        odometry = odometry_poses(self.data, visit.robot, inside)
+        odometry = odometry_poses(track, inside)
         moments, row_of = np.unique(inside, return_inverse=True)
         anchors = np.array([row for row, i in enumerate(visit.indices) if i in mode.poses])
         near = anchors[np.argmin(np.abs(stamps[anchors] - stamps[:, None]), axis=1)]
@@ -340,7 +244,7 @@ class ModeFinder:
         track = self.data.tracks[visit.robot]
         stamps = [self.observations[index].stamp_ns for index in visit.chosen]
         moments = np.clip(np.array(stamps), track.first_ns, track.last_ns)
-        poses = odometry_poses(self.data, visit.robot, moments)
+        poses = odometry_poses(track, moments)
         return {index: poses[i] for i, index in enumerate(visit.chosen)}
 
     def _starts(self, visit: Visit, poses: dict[int, Pose]) -> list[Start]:
@@ -380,15 +284,6 @@ def renumbered(found: VisitModes, visit: Visit) -> VisitModes:
     ]
     right = tuple((stamp_ns, number[index]) for stamp_ns, index in found.right)
     return VisitModes(visit, tuple(modes), found.nothing, right)
-
-
-def odometry_poses(data: DataSet, robot: str, moments: np.ndarray) -> Pose:
-    """Where odometry alone puts a robot at moments (n,) that it covers."""
-    track = data.tracks[robot]
-    rows = np.clip(np.searchsorted(track.stamps_ns, moments, "right") - 1, 0, len(track) - 1)
-    after_s = (moments - track.stamps_ns[rows]) / 1e9
-    carried, _ = track.carried(track.stamps_ns[rows], after_s, np.zeros(2))
-    return track.odom_from_base[rows] @ carried
 
 
 def _is_wrong(readings: tuple[Reading | None, ...]) -> bool:

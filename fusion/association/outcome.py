@@ -14,8 +14,7 @@ from trigpoint.geometry import Pose
 from .events import EVIDENCE, window
 from .evidence import alternatives_of
 from .explanation import Alternative, CameraFinding, Explanation, Read
-from .mode import Mode
-from .modes import VisitModes
+from .mode import Mode, VisitModes
 from .world import World
 
 _SEVERAL = (

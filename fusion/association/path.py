@@ -14,6 +14,7 @@ import numpy as np
 
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.odometry import PLANAR, SPATIAL
+from trigpoint.fusion.model.trajectory import odometry_poses
 from trigpoint.geometry import Pose
 from trigpoint.geometry.chi_square import chi2_limit
 from trigpoint.geometry.rotation import Array
@@ -21,7 +22,7 @@ from trigpoint.geometry.uncertainty import lever, relative_jacobians, turned_axe
 
 from .events import EVIDENCE
 from .linear import HELD
-from .modes import VisitModes, odometry_poses
+from .mode import VisitModes
 
 _SCALE_STEP = 0.01
 # The least share, of what a visit shows of a motion, that is not due to odometry: less is nothing.
@@ -50,7 +51,7 @@ class RobotPath:
         self.tangent = PLANAR if track.planar else SPATIAL
         noise = data.site.robots[robot].odometry
         self.scale_sigma = np.array([noise.distance_scale, noise.heading_scale])
-        self.odometry = odometry_poses(data, robot, self.stamps_ns)
+        self.odometry = odometry_poses(track, self.stamps_ns)
         self._steps: dict[tuple[int, ...], Steps] = {}
         d = len(self.tangent)
         covariance = np.zeros((0, d, d))

@@ -10,8 +10,9 @@ from trigpoint.fusion.model.observations import Observation, Reading, View, obse
 from trigpoint.geometry import Pose
 
 from .events import Events
-from .mode import Mode
-from .modes import Memory, ModeFinder, VisitModes
+from .memory import Memory
+from .mode import Mode, VisitModes
+from .modes import ModeFinder
 from .noise import PESSIMISTIC
 from .session_noise import with_noise
 from .variances import corner_scale

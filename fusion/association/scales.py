@@ -19,7 +19,9 @@ from trigpoint.geometry.rotation import Array
 from trigpoint.site.config import OdometryNoise
 
 from .events import EVIDENCE, Events
-from .modes import Memory, ModeFinder, VisitModes
+from .memory import Memory
+from .mode import VisitModes
+from .modes import ModeFinder
 from .noise import PESSIMISTIC
 from .session_noise import with_noise
 from .visits import telling, visits_of

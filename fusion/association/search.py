@@ -19,6 +19,7 @@ from .graph import Break, Graph, Place, Placed, Tie, Variant
 from .hypothesis import Hypothesis
 from .minimum import Minima
 from .told_moves import ToldMoves, of_camera
+from .trail import Trail
 
 # A partial explanation may win back what its score has lost so far, and no window bounds how much.
 # So the hypotheses within the window are kept, and of those behind it a few of the best that differ
@@ -63,11 +64,17 @@ class Search:
         ]
 
     def explained(
-        self, start: Hypothesis, numbers: Iterable[int], *, wrong: int | None = None
+        self,
+        starts: list[Hypothesis],
+        numbers: Iterable[int],
+        *,
+        wrong: int | None = None,
+        trail: Trail | None = None,
     ) -> list[Hypothesis]:
-        """Return the hypotheses that add these visits to `start`, pruned after each visit, best
-        first. `wrong`: the visit all of whose sightings are taken to be wrong."""
-        hypotheses = [start]
+        """Return the hypotheses that add these visits to one of `starts`, pruned after each visit,
+        best first. `wrong`: the visit all of whose sightings are taken to be wrong; `trail`: where
+        what is kept after each visit is noted."""
+        hypotheses = starts
         for number in numbers:
             if number == wrong:
                 grown = [self._wrong(before, number) for before in hypotheses]
@@ -76,6 +83,8 @@ class Search:
             hypotheses = self._pruned(grown)
             if not hypotheses:
                 return []
+            if trail is not None:
+                trail.note(number + 1, hypotheses, is_cut=self.is_cut)
         return hypotheses
 
     def beginning(self) -> Hypothesis:

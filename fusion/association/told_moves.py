@@ -5,7 +5,7 @@ from itertools import pairwise
 
 from .graph import Graph
 from .hypothesis import Hypothesis
-from .modes import VisitModes
+from .mode import VisitModes
 
 
 def of_camera(hypothesis: Hypothesis, visits: Sequence[VisitModes], camera: str) -> list[int]:

@@ -18,9 +18,11 @@ from .evidence import Place
 from .graph import Graph, Variant
 from .hypothesis import Hypothesis
 from .learning import SessionNoise
-from .modes import Memory, ModeFinder
+from .memory import Memory
+from .modes import ModeFinder
 from .search import Search
 from .session_noise import with_noise
+from .trail import Trail
 from .visits import Visit, visits_of
 
 # Explanations that are worse than the best by more have no share in where a camera is.
@@ -47,6 +49,7 @@ class World:
         self.observations, self.noise, self.events = observations, noise, events
         self.data = data = with_noise(data, noise.by_robot)
         self.finder = finder = ModeFinder(data, observations, events, memory)
+        self._undisputed = memory.undisputed
         if parts is None:
             found = [part for v in visits_of(data, observations) for part in finder.parts_of(v)]
         else:
@@ -55,7 +58,10 @@ class World:
         self.graph = Graph(data, self.visits, events)
         self.budget = memory.budget
         self.search = Search(self.graph, events, self.budget)
-        self.hypotheses = self._searched()
+        keys = [(finder.key(v.visit), *data.told, *data.known.poses) for v in self.visits]
+        known = max(memory.trails, key=lambda trail: trail.same(keys), default=None)
+        self.trail = Trail(self.graph, keys)
+        self.hypotheses = self._searched(known, trail=self.trail)
         self.undecided = self._cameras() if self.budget.is_spent else set()
         self.crowded = set[str]()
 
@@ -78,11 +84,20 @@ class World:
     def _cameras(self) -> set[str]:
         return {v.visit.camera for v in self.visits}
 
-    def _searched(self, *, wrong: int | None = None) -> list[Hypothesis]:
-        """Search the explanations of all visits, one of which may be taken to be `wrong`."""
-        self.search.is_cut = False
-        numbers = range(len(self.visits))
-        return self.search.explained(self.search.beginning(), numbers, wrong=wrong)
+    def _searched(
+        self, known: Trail | None, *, wrong: int | None = None, trail: Trail | None = None
+    ) -> list[Hypothesis]:
+        """Search the explanations of all visits, one of which may be taken to be `wrong`, from
+        where the search that left the trail `known` was the same; leave another `trail`."""
+        count, starts, self.search.is_cut = 0, list[Hypothesis](), False
+        if known is not None:
+            same = known.same(self.trail.keys)
+            count, kept, is_cut = known.before(self.graph, same if wrong is None else wrong)
+            starts, self.search.is_cut = self.search.placed(kept), is_cut
+        if not starts:
+            count, starts = 0, [self.search.beginning()]
+        numbers = range(count, len(self.visits))
+        return self.search.explained(starts, numbers, wrong=wrong, trail=trail)
 
     def _doubt_events(self) -> bool:
         """Add alternatives to each event of the best explanation: the lift in another gap, and the
@@ -97,7 +112,7 @@ class World:
                 break
             number = min(doubts)
             doubted.add(number)
-            found = self._searched(wrong=number)
+            found = self._searched(self.trail, wrong=number)
             self._add(found)
             counts = any(each.score < self.hypotheses[0].score + window() for each in found)
             is_crowded |= self.search.is_cut and counts
@@ -112,7 +127,8 @@ class World:
         self.hypotheses = [each for each in every if each.score <= every[0].score + _COUNTS]
 
     def _verify_cameras(self) -> None:
-        """For each camera of the best explanation, search everything else that its visits may be.
+        """For each camera of the best explanation, search everything else that its visits may be,
+        unless the last search found that nothing else counts, and nothing of that has changed.
         If the budget does not suffice, all cameras not verified yet are undecided, those with only
         one visit included."""
         best = self.hypotheses[0]
@@ -122,11 +138,15 @@ class World:
             mine = [n for n, v in enumerate(self.visits) if v.visit.camera == camera]
             if len(mine) < 2:
                 continue
+            key = self._explained_as(best, mine)
+            if self._undisputed.get(key):
+                verified.add(camera)
+                continue
             rest = self._without(best, set(mine))
             if rest is None:
                 continue
             self.search.is_cut = False
-            found = self.search.explained(rest, mine)
+            found = self.search.explained([rest], mine)
             if self.search.is_cut:
                 self.crowded.add(camera)
             if self.budget.is_spent:
@@ -134,6 +154,15 @@ class World:
                 break
             verified.add(camera)
             self._add(found)
+            others = [each for each in found if _signature(each) != _signature(best)]
+            is_alone = all(each.score > best.score + _COUNTS for each in others)
+            if is_alone and not self.search.is_cut:
+                self._undisputed.put(key, True)
+
+    def _explained_as(self, best: Hypothesis, mine: list[int]) -> tuple[object, ...]:
+        """Return what a camera's visits are, and as what the best explanation takes them."""
+        taken = [(best.ties.get(n), best.open.get(n), n in best.nothing) for n in mine]
+        return best.breaks, *(self.trail.keys[n] for n in mine), *taken
 
     def _without(self, hypothesis: Hypothesis, numbers: set[int]) -> Hypothesis | None:
         """The explanation of all visits but these; None where that is not determined."""

@@ -11,7 +11,7 @@ from collections.abc import Container
 
 from trigpoint.fusion.association.engine import explain
 from trigpoint.fusion.association.explanation import Alternative, CameraFinding, Explanation
-from trigpoint.fusion.association.modes import Memory
+from trigpoint.fusion.association.memory import Memory
 from trigpoint.fusion.association.scales import with_solved_scales
 from trigpoint.fusion.model.dataset import DataSet, Entry
 from trigpoint.fusion.model.observations import Observation, Verdict

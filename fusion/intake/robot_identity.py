@@ -14,7 +14,7 @@ import numpy as np
 
 from trigpoint.fusion.association.budget import ALIKE_SHARE, Budget
 from trigpoint.fusion.association.events import Events, window
-from trigpoint.fusion.association.modes import Memory
+from trigpoint.fusion.association.memory import Memory
 from trigpoint.fusion.association.robots import Picture, RobotFit, fits, runs
 from trigpoint.fusion.estimators.interface import Live
 from trigpoint.fusion.model.dataset import DataSet, Entry

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from trigpoint.base.clock import NANOSECONDS
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
@@ -50,3 +51,11 @@ def _dead_reckoned(track: OdometryTrack, scales: Array, stamps_ns: np.ndarray) -
     if len(stamps_ns) == 1:
         return Pose.stack([Pose.identity()])
     return composed(track.motion(stamps_ns, scales).earlier_from_later)
+
+
+def odometry_poses(track: OdometryTrack, moments: np.ndarray) -> Pose:
+    """Where odometry alone puts a robot at moments (n,) that it covers, odom_from_base (n)."""
+    rows = np.clip(np.searchsorted(track.stamps_ns, moments, "right") - 1, 0, len(track) - 1)
+    after_s = (moments - track.stamps_ns[rows]) / NANOSECONDS
+    carried, _ = track.carried(track.stamps_ns[rows], after_s, np.zeros(2))
+    return track.odom_from_base[rows] @ carried

@@ -7,7 +7,7 @@ from support.oracle.sessions import Shape, data_of
 
 from trigpoint.fusion.association.events import Events
 from trigpoint.fusion.association.learning import learnt_noise
-from trigpoint.fusion.association.modes import Memory
+from trigpoint.fusion.association.memory import Memory
 from trigpoint.fusion.association.noise import PESSIMISTIC, STATED, on_a_floor
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import Observation

@@ -7,7 +7,7 @@ from support.oracle.sessions import Shape, data_of
 from trigpoint.fusion.association.budget import Budget
 from trigpoint.fusion.association.engine import explain
 from trigpoint.fusion.association.explanation import Explanation
-from trigpoint.fusion.association.modes import Memory
+from trigpoint.fusion.association.memory import Memory
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import Observation
 
@@ -48,3 +48,30 @@ def test_nothing_new_is_explained_by_what_is_known(
     _, first = spent(*came, memory)
     _, second = spent(*came, memory)
     assert second < 0.3 * first
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        Shape(3, (0, 1, 0, 1, 0, 1), is_alike=True, is_near=True),
+        Shape(4, (0, 1, 0, 1, 0), is_alike=False, lift=3),
+        Shape(6, (0, 1, 0, 0, 1), is_alike=True, displaced=(1, 3)),
+    ],
+)
+def test_explained_bit_by_bit_it_is_what_it_is_at_once(shape: Shape) -> None:
+    data, observations = data_of(shape)
+    memory = Memory()
+    for count in range(1, len(observations)):
+        spent(data, observations[:count], memory)
+    found, last = spent(data, observations, memory)
+    alone, anew = spent(data, observations, Memory())
+    assert last < anew
+    assert [read.readings for read in found.reads] == [read.readings for read in alone.reads]
+    assert found.lifts == alone.lifts
+    assert len(found.moves) == len(alone.moves)
+    for camera, finding in alone.findings.items():
+        pairs = zip(found.findings[camera].alternatives, finding.alternatives, strict=True)
+        for there, right in pairs:
+            assert there.probability == pytest.approx(right.probability, rel=1e-3)
+            apart = there.map_from_camera.difference(right.map_from_camera)
+            np.testing.assert_allclose(apart, 0.0, atol=1e-4)

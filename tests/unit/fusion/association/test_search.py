@@ -34,8 +34,8 @@ def test_moved_camera_is_shown_first_by_the_visit_at_its_new_place(search: Searc
 
 def test_visit_that_is_taken_to_be_wrong_explains_nothing(search: Search) -> None:
     numbers = range(4)
-    best = search.explained(search.beginning(), numbers)[0]
-    without = search.explained(search.beginning(), numbers, wrong=2)
+    best = search.explained([search.beginning()], numbers)[0]
+    without = search.explained([search.beginning()], numbers, wrong=2)
     assert not best.nothing
     assert all(2 in each.nothing for each in without)
     assert without[0].score > best.score

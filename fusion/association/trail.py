@@ -1,0 +1,98 @@
+"""What a search kept on its way, so that another one goes on from where both are the same.
+
+What is kept after the first visits depends on these alone: on later ones only in that they may show
+the robot's motion between these more precisely. So a search over more visits begins with what the
+last one kept after those that have not changed, and one that takes a visit to be wrong with what
+was kept before that visit.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from trigpoint.geometry import Pose
+from trigpoint.geometry.rotation import Array
+
+from .factor import Factor
+from .graph import Graph, Layout, Placed, Variant
+from .hypothesis import Hypothesis
+
+# Of so many last visits everything is kept, of those before only that after every so manieth.
+_LAST, _EVERY = 48, 8
+
+
+@dataclass(frozen=True, slots=True)
+class _Stage:
+    """What was kept after some visits: hypotheses without their graphs, and of each of these the
+    layout and the poses; whether some were cut (`Search`)."""
+
+    kept: list[tuple[Hypothesis, Layout, Array]]
+    is_cut: bool
+
+
+class Trail:
+    """What a search kept after each of its visits, of which `keys` say what their modes depend
+    on. Not thread-safe."""
+
+    def __init__(self, graph: Graph, keys: Sequence[object]) -> None:
+        self.keys = keys
+        self._stamps_ns = {robot: path.stamps_ns for robot, path in graph.paths.items()}
+        self._stages: dict[int, _Stage] = {}
+
+    def note(self, count: int, hypotheses: list[Hypothesis], *, is_cut: bool) -> None:
+        """Note what is kept after the first `count` visits."""
+        kept = [
+            (replace(each, placed=None), each.placed.layout, each.placed.poses)
+            for each in hypotheses
+            if each.placed is not None
+        ]
+        self._stages[count] = _Stage(kept, is_cut)
+        old = count - _LAST
+        if old % _EVERY:
+            self._stages.pop(old, None)
+
+    def same(self, keys: Sequence[object]) -> int:
+        """Return how many visits a search over visits with these keys begins with, too."""
+        pairs = zip(self.keys, keys, strict=False)
+        return next(
+            (n for n, (one, other) in enumerate(pairs) if one != other),
+            min(len(self.keys), len(keys)),
+        )
+
+    def before(
+        self, graph: Graph, count: int
+    ) -> tuple[int, list[tuple[Hypothesis, Variant]], bool]:
+        """Return after how many visits, at most `count`, something was noted, the hypotheses that
+        were kept then, as graphs of another search yet to be solved, and whether some were cut."""
+        last = max((n for n in self._stages if n <= count), default=0)
+        if not last:
+            return 0, [], False
+        stage = self._stages[last]
+        return last, [self._variant(graph, *each) for each in stage.kept], stage.is_cut
+
+    def _variant(
+        self, graph: Graph, hypothesis: Hypothesis, layout: Layout, poses: Array
+    ) -> tuple[Hypothesis, Variant]:
+        mine = graph.layout(list(layout.at))
+        there = np.concatenate([graph.odometry, poses[list(layout.at.values())]])
+        for robot, first in mine.first.items():
+            if robot in layout.first:
+                known = poses[layout.first[robot] :][: len(self._stamps_ns[robot])]
+                nodes = self._nodes(graph, robot, Pose.from_rows(known))
+                there[first : first + len(nodes)] = nodes
+        ties, breaks = hypothesis.ties, hypothesis.breaks
+        near = Placed(0.0, there, ties, breaks, mine, Factor())
+        return hypothesis, Variant(ties, hypothesis.nothing, breaks, near)
+
+    def _nodes(self, graph: Graph, robot: str, known: Pose) -> Array:
+        """Return the rows (n, 12) of a robot's nodes: those that were `known`, and the others by
+        odometry from the last of these before them, or the first."""
+        path, stamps_ns = graph.paths[robot], self._stamps_ns[robot]
+        shared = np.flatnonzero(np.isin(path.stamps_ns, stamps_ns))
+        if not len(shared):
+            return path.odometry.rows()
+        nearest = np.searchsorted(shared, np.arange(len(path.stamps_ns)), side="right") - 1
+        from_row = shared[np.maximum(nearest, 0)]
+        there = known[np.searchsorted(stamps_ns, path.stamps_ns[from_row])]
+        return (there @ path.odometry[from_row].inverse() @ path.odometry).rows()
