@@ -25,10 +25,10 @@ class TakeLens:
 
 @dataclass(frozen=True, slots=True)
 class TakeOdometry:
-    """A robot's odometry message, as it was taken."""
+    """A robot's odometry messages, as they were taken: stamps (n,) and poses (n)."""
 
     robot: str
-    stamp_ns: int
+    stamps_ns: tuple[int, ...]
     odom_from_base: Pose
 
 
