@@ -117,6 +117,15 @@ class Covered:
 News = Solved | Event | Reported | Suggested | Covered
 
 
+@dataclass(frozen=True, slots=True)
+class Solution:
+    """A solution from which corrections go on after a restart; none of its sightings is stamped
+    later than `until_ns`."""
+
+    solved: Solved
+    until_ns: int
+
+
 class Solver(Protocol):
     """A solver that takes orders and has news for the live estimator; used by one thread."""
 
