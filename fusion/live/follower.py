@@ -83,7 +83,7 @@ class Follower:
         self._told = 0
         self._unsolved_ns = deque[int]()  # stamps of the last of those told
         self._until_ns = 0
-        self._collected: list[Observation] = []
+        self._collected: list[Observation] = []  # until they are to be solved
         self.solution: Solution | None = None
         self._asked = 0
         self._located: tuple[str, ...] = ()
@@ -252,6 +252,7 @@ class Follower:
 
     def finish(self) -> None:
         """Have everything solved to the end; the report comes with the solver's news."""
+        self._collected.clear()
         self._ask(Finish())
 
     def ask(self) -> None:
