@@ -61,6 +61,11 @@ BENCHMARKS: dict[str, Benchmark] = {
         "fusion.load",
         has_options=True,
     ),
+    "restart": Benchmark(
+        "how soon does a fusion that is started again correct, and how soon is all solved?",
+        "fusion.restart",
+        is_long=True,
+    ),
     "latency": Benchmark(
         "how late is a correction, and where did the time go?", "latency", is_long=True
     ),

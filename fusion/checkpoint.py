@@ -16,8 +16,8 @@ import struct
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import msgspec
 
@@ -190,8 +190,7 @@ def _is_ours(path: Path) -> bool:
     return not head or head == _MAGIC or next(_records(path), None) is not None
 
 
-@dataclass(frozen=True, slots=True)
-class _Record:
+class _Record(NamedTuple):
     start: int
     end: int
     key: str

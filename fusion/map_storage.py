@@ -106,7 +106,7 @@ class MapStorage:
             )
             return None
         self._note(self._reading, message)
-        self._count += self._reading == self._path
+        self._count += self._reading is self._path
         return message if self._is_needed(key, message) else None
 
     def _is_needed(self, key: str, message: Message) -> bool:

@@ -4,6 +4,7 @@ import json
 import logging
 import threading
 from collections.abc import Callable, Iterator
+from itertools import islice
 from pathlib import Path
 
 from trigpoint.base.clock import Clock, to_ns, to_seconds
@@ -12,7 +13,7 @@ from trigpoint.base.ending import ENDING
 from trigpoint.base.errors import OperationError
 from trigpoint.bus.bus import Bus, Sample
 from trigpoint.contract import cdr, topics
-from trigpoint.contract.messages import CameraInfo, Message, Odometry
+from trigpoint.contract.messages import CameraInfo, Message
 from trigpoint.contract.topics import command_key
 from trigpoint.map.network import encode_network
 from trigpoint.node.node import Node
@@ -38,6 +39,8 @@ from .model.inputs import Inputs
 from .output import Output
 from .pipeline_maker import PipelineMaker
 from .publishing import Publishing
+from .replaying import Replay
+from .solution_file import SolutionFile
 from .solver.snapshot import GuidanceWorld
 
 KIND = "fusion"
@@ -49,7 +52,7 @@ _TURN_S = 0.02
 # stop are answered whatever comes.
 _MOST_USED = 16
 _LAST_TAKING_NS = to_ns(0.25)
-# While a checkpoint is read, what comes is taken in every so many records.
+# While a checkpoint is read, what comes is taken in, and commands may come, every so many records.
 _RECORDS_AT_ONCE = 256
 # A turn of a filter that has fallen behind on a small machine; beyond it the thread is hung.
 _TURN_MOST_S = 60.0
@@ -79,6 +82,7 @@ class FusionNode:
         self._site, self._out = inputs.site, out
         self._holding = Holding(fixed, learns=fixed is None and inputs.site.fusion.learn)
         self._maker = PipelineMaker(inputs, out, solver)
+        self._solution = SolutionFile(out, inputs)
         self._lock = FairLock()
         self._admission = Admission(inputs.site)
         self._pipeline = self._maker.make(self._holding.fixed, is_live=False)
@@ -136,6 +140,7 @@ class FusionNode:
             elif self.is_resumed:
                 turn_s = self._longest_s if self._maker.solver is None else None
                 save_last(self._pipeline, self._out, self._clock, turn_s=turn_s)
+                self._solution.keep(self._pipeline)
             else:
                 _log.info("stopped before %s was read; all of it is still there", self._path)
             if self._storage is not None and self._storage.trouble:
@@ -190,6 +195,7 @@ class FusionNode:
         if self._storage is not None:
             self._storage.settle(self._pipeline.past)
             self._storage.flush()
+            self._solution.keep(self._pipeline)
         self._located_count = self._pipeline.located_count
         return outputs
 
@@ -309,21 +315,21 @@ class FusionNode:
                 past=self._pipeline.past,
             )
         pipeline, count = self._pipeline, 0
+        replay, found = Replay(pipeline), self._storage.records()
         aside: list[tuple[Sample, Message]] = []
-        for key, payload in self._storage.records():
+        while records := list(islice(found, _RECORDS_AT_ONCE)):
             pulse.beat()
             if self._node.stopping.is_set():
                 for sample, message in aside:
                     self._store(sample, message)
                 return False
-            if self._pipeline is not pipeline:
-                return True  # reset
             if not count:
                 _log.info("reading %s; nothing is estimated until that is done", self._path)
             with self._lock:
-                count += self._take_again(key, payload)
-                if not count % _RECORDS_AT_ONCE:
-                    aside += self._arrived()
+                if self._pipeline is not pipeline:
+                    return True  # reset
+                count += sum(self._take_again(replay, *record) for record in records)
+                aside += self._arrived()
         with self._lock:
             if self._pipeline is pipeline:
                 self._go_on(count)
@@ -331,29 +337,27 @@ class FusionNode:
                     self._push(sample, message)
         return True
 
-    def _take_again(self, key: str, payload: bytes) -> bool:
+    def _take_again(self, replay: Replay, key: str, payload: bytes) -> bool:
         """Take a record of the checkpoint; whether it is used."""
         message = self._open_storage.message(key, payload)
         if message is None:
             return False
-        self._pipeline.push(topics.node_of(key), message)
+        replay.take(topics.node_of(key), message)
         if isinstance(message, CameraInfo):
             self._announced[key] = payload
-        if isinstance(message, Odometry):
-            self._pipeline.advance()
         return True
 
     def _go_on(self, count: int) -> None:
         """Go on live after so many messages of a checkpoint."""
         self._pipeline.advance()
         is_new = not count and self._pipeline.past is None
-        self._pipeline.resumed(is_new=is_new)
+        solution = self._solution.load(self._pipeline.map_id, self._clock.now_ns())
+        goes_on = self._pipeline.resumed(is_new=is_new, solution=solution)
         if not is_new:
             _log.info(
-                "map %s resumed from %s (%d messages); the command %s starts a new one",
-                self._pipeline.map_id,
-                self._path,
-                count,
+                "map %s resumed from %s (%d messages)%s; the command %s starts a new one",
+                *(self._pipeline.map_id, self._path, count),
+                "" if goes_on else "; there are no corrections before it is solved",
                 command_key(self._site.name, "fusion/reset"),
             )
 

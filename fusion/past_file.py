@@ -5,8 +5,6 @@ before, with which the checkpoint still has every message that it needs.
 """
 
 import logging
-import os
-import zlib
 from pathlib import Path
 
 import msgspec
@@ -19,13 +17,13 @@ from trigpoint.map.network import IntrinsicsRecord
 from trigpoint.site.config import Site
 from trigpoint.site.target import Target
 
+from .checked_file import checked_body, save_checked
 from .checkpoint import set_aside
 from .model.assembly import estimates_faces, estimates_scales
 from .model.known_cameras import Creep, KnownCameras
 from .model.past import Past, PastCamera
 
 _MAGIC = b"trigpoint-past/1\n"
-_CHECK = 4  # bytes of the checksum
 
 _log = logging.getLogger(__name__)
 
@@ -48,13 +46,7 @@ class _Document(msgspec.Struct):
 
 def save_past(path: Path, past: Past, site: Site) -> None:
     """Replace the file; raise OSError where the disk does not take it."""
-    body = msgspec.msgpack.encode(_document(past, site))
-    part = path.with_suffix(".part")
-    with part.open("wb") as file:
-        file.write(_MAGIC + zlib.crc32(body).to_bytes(_CHECK, "little") + body)
-        file.flush()
-        os.fsync(file.fileno())
-    part.replace(path)
+    save_checked(path, _MAGIC, msgspec.msgpack.encode(_document(past, site)))
 
 
 def load_past(path: Path, site: Site, targets: dict[str, Target]) -> Past | None:
@@ -92,12 +84,9 @@ def load_past(path: Path, site: Site, targets: dict[str, Target]) -> Past | None
 
 def _read(data: bytes) -> _Document | None:
     """What a file says; None where it is not whole."""
-    body = data[len(_MAGIC) + _CHECK :]
-    check = int.from_bytes(data[len(_MAGIC) :][:_CHECK], "little")
-    if not data.startswith(_MAGIC) or zlib.crc32(body) != check:
-        return None
+    body = checked_body(data, _MAGIC)
     try:
-        return msgspec.msgpack.decode(body, type=_Document)
+        return None if body is None else msgspec.msgpack.decode(body, type=_Document)
     except msgspec.DecodeError:
         return None
 

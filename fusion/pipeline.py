@@ -25,7 +25,7 @@ from .intake.robot_identity import RobotIdentification
 from .intake.standstills import Standstills
 from .live.follower import Follower
 from .live.settling import SettlingSchedule
-from .live.solver_messages import Solver
+from .live.solver_messages import Solution, Solver
 from .model.dataset import Conclusions, Event
 from .model.inputs import Inputs
 from .model.observations import Observation
@@ -155,8 +155,7 @@ class Pipeline:
     @property
     def messages_left_out(self) -> dict[str, int]:
         """What of `left_out` are messages: all but the events."""
-        kinds = self._events.kinds
-        return {reason: count for reason, count in self.left_out.items() if reason not in kinds}
+        return {r: count for r, count in self.left_out.items() if r not in self._events.kinds}
 
     # -- input ------------------------------------------------------------------------------------
 
@@ -198,8 +197,7 @@ class Pipeline:
 
     def _push_diagnostics(self, message: Diagnostics) -> bool:
         """Take that cameras noticed that they were moved; whether any of it is new."""
-        moves = self.nudges.new_in(message)
-        for move in moves:
+        for move in (moves := self.nudges.new_in(message)):
             self._estimator.camera_moved(move)
             self._events.add(Event("camera_nudged", self.nudges.words(move.camera)))
         return bool(moves)
@@ -242,20 +240,22 @@ class Pipeline:
         self._left_out.add("without_intrinsics")
         return False
 
-    def resumed(self, *, is_new: bool = False) -> None:
+    def resumed(self, *, is_new: bool = False, solution: Solution | None = None) -> bool:
         """Say that what was pushed so far came from a checkpoint: it is all used at once.
 
-        Whoever wrote it may have sent more corrections than it shows. `is_new`: there was nothing
-        in it.
+        Whoever wrote it may have sent more corrections than it shows. `is_new`: nothing was in it.
+        Returns whether corrections go on from its last `solution` until the solver is done.
         """
+        goes_on = False
         if not is_new:
             self._use_rest()
+            if self._follower is not None and solution is not None:
+                goes_on = self._follower.go_on_from(solution)
             self._explain_all()
+            self._robots.skip_corrections(self.site.robots)
         self._is_live = True
-        if is_new:
-            return
-        self._robots.skip_corrections(self.site.robots)
         self._outputs.clear()
+        return goes_on
 
     # -- work -------------------------------------------------------------------------------------
 

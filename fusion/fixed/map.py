@@ -43,6 +43,7 @@ class FixedMap:
         self._estimates: dict[str, CameraEstimate] = {}
         self._contradictions: Counter[str] = Counter()
         self.is_answered = self.is_final = self.has_results = True
+        self.solution = None
 
     # -- input ------------------------------------------------------------------------------------
 

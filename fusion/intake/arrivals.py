@@ -70,7 +70,7 @@ class Arrivals:
 
     def add(self, node: str, message: Message) -> None:
         """Note a message of a camera or robot."""
-        if isinstance(message, Odometry | Sightings):
+        if isinstance(message, Odometry | Sightings) and message.mended:
             self._mended.update((node, lack) for lack in message.mended)
         if isinstance(message, Sightings) and message.faces and node in self._tolerance_ns:
             span, stamp_ns = self.seen.get(node), message.stamp_ns

@@ -237,7 +237,7 @@ class Intake:
 
     def waits_for(self, robot: str) -> bool:
         """Whether anything waits for a robot's odometry."""
-        return bool(self._waiting[robot])
+        return bool(self._waiting.get(robot))
 
     def rest(self, robot: str, last_ns: int) -> list[Observation]:
         """At the end of the odometry: the observations whose stamps are within it, although their

@@ -9,7 +9,7 @@ corrections. So no turn takes long, and late sightings enter the new filter as w
 
 from collections import deque
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from numpy.linalg import LinAlgError
 
@@ -34,6 +34,7 @@ from .solver_messages import (
     Order,
     Report,
     Reported,
+    Solution,
     Solved,
     Solver,
     Suggested,
@@ -67,16 +68,23 @@ class _Coming:
 
 class Follower:
     """A `Live` estimator whose `Reports` come with a solver's news. Not thread-safe. `forget`:
-    called where the odometry's past was dropped, for others to drop what refers to it."""
+    called where the odometry's past was dropped, for others to drop what refers to it. `solution`:
+    the solver's last one, None before it."""
 
     def __init__(self, data: DataSet, solver: Solver, forget: Callable[[], None]) -> None:
         self.data, self._solver, self._forget = data, solver, forget
         self._current = CurrentFilter(data)
         self._coming: _Coming | None = None
         self._orders: list[Order] = []
+        # By robot, what came after these orders. A message by itself takes 20 µs to be packed.
+        self._odometry: dict[str, list[tuple[int, Pose]]] = {}
         self._recent: list[_Recent] = []
         self._lenses: set[str] = set()
         self._told = 0
+        self._unsolved_ns = deque[int]()  # stamps of the last of those told
+        self._until_ns = 0
+        self._collected: list[Observation] = []  # until they are to be solved
+        self.solution: Solution | None = None
         self._asked = 0
         self._located: tuple[str, ...] = ()
         self._came, self._came_before = 0, 0
@@ -88,7 +96,7 @@ class Follower:
     def add_odometry(self, robot: str, stamp_ns: int, odom_from_base: Pose) -> Added:
         added = self.data.tracks[robot].add(stamp_ns, odom_from_base)
         if added is not Added.STALE:
-            self._orders.append(TakeOdometry(robot, stamp_ns, odom_from_base))
+            self._odometry.setdefault(robot, []).append((stamp_ns, odom_from_base))
         self._current.begin(robot)
         return added
 
@@ -106,6 +114,7 @@ class Follower:
         return Update(correction=correction)
 
     def collect(self, observation: Observation) -> None:
+        self._collected.append(observation)
         self._tell(observation, is_collected=True)
 
     def _use(self, current: CurrentFilter, observation: Observation) -> RobotEstimate | None:
@@ -137,14 +146,49 @@ class Follower:
         if solved.past is not None:
             self.data.forget(solved.past)
             self._forget()
+        self._recent = [r for r in self._recent if r.number is None or r.number > solved.count]
+        while len(self._unsolved_ns) > self._told - solved.count:
+            self._until_ns = max(self._until_ns, self._unsolved_ns.popleft())
+        self.solution = Solution(replace(solved, past=None), self._until_ns)
+        missing = sorted((r.observation for r in self._recent), key=lambda o: o.stamp_ns)
+        self._coming = _Coming(self._concluded(solved), deque(missing))
+
+    def _concluded(self, solved: Solved) -> CurrentFilter:
+        """The filter that goes on from a solution, whose conclusions are taken over."""
         self.data.conclude(solved.conclusions)
         self._located = solved.located
-        self._recent = [r for r in self._recent if r.number is None or r.number > solved.count]
         current = CurrentFilter(self.data)
         current.go_on_from(solved.known, told=solved.conclusions.told)
         current.shares = dict(solved.shares)
-        missing = sorted((r.observation for r in self._recent), key=lambda o: o.stamp_ns)
-        self._coming = _Coming(current, deque(missing))
+        return current
+
+    def go_on_from(self, solution: Solution) -> bool:
+        """Make corrections by the last solution of a process before this one, until the solver has
+        its own over all that was collected; whether odometry reaches back to where that solution
+        left each robot. Of what was collected, only sightings after all of the solution's are used:
+        nothing counts twice."""
+        solved, collected = solution.solved, self._collected
+        tracks, stamps_ns = self.data.tracks, solved.known.stamps_ns
+        if not all(tracks[robot].covers(stamp_ns) for robot, stamp_ns in stamps_ns.items()):
+            return False
+        jumps = {
+            robot: tuple(
+                s for s in steps if tracks[robot].covers(s[0]) and tracks[robot].covers(s[1])
+            )
+            for robot, steps in solved.conclusions.jumps.items()
+        }
+        solved = replace(solved, conclusions=replace(solved.conclusions, jumps=jumps))
+        self._current, self._has_new_camera = self._concluded(solved), True
+        for observation in sorted(collected, key=lambda o: o.stamp_ns):
+            if observation.stamp_ns > solution.until_ns:
+                self._try_using(self._current, observation)
+        return True
+
+    def _try_using(self, current: CurrentFilter, observation: Observation) -> None:
+        try:
+            self._use(current, observation)
+        except (LinAlgError, ValueError):
+            return  # the solver says what it makes of it
 
     def _catch_up(self) -> None:
         """Advance a new filter; it replaces the old one once it lacks nothing."""
@@ -156,10 +200,7 @@ class Follower:
         if coming is None:
             return
         for _ in range(min(len(coming.missing), catching_up(came, before))):
-            try:
-                self._use(coming.current, coming.missing.popleft())
-            except (LinAlgError, ValueError):
-                continue  # the old filter could use it; the solver says what it makes of it
+            self._try_using(coming.current, coming.missing.popleft())
         if not coming.missing:
             old, self._current, self._coming = self._current, coming.current, None
             self._has_new_camera |= bool(_cameras(coming.current) - _cameras(old))
@@ -170,9 +211,18 @@ class Follower:
         for recent in sorted(ready, key=lambda r: r.observation.stamp_ns):
             self._tell(recent.observation)
             recent.number = self._told
+        self._order()
         orders, self._orders = self._orders, []
         if orders:
             self._solver.tell(orders)
+
+    def _order(self, *orders: Order) -> None:
+        """Give orders, behind the odometry that came before them."""
+        for robot, readings in self._odometry.items():
+            stamps_ns, poses = zip(*readings, strict=True)
+            self._orders.append(TakeOdometry(robot, stamps_ns, Pose.stack(list(poses))))
+        self._odometry.clear()
+        self._orders += orders
 
     def _is_old(self, recent: _Recent) -> bool:
         held_ns = to_ns(min(self.data.site.fusion.late, _MOST_HELD_S))
@@ -183,9 +233,10 @@ class Follower:
         camera = observation.camera
         if camera not in self._lenses:
             self._lenses.add(camera)
-            self._orders.append(TakeLens(camera, self.data.lenses[camera]))
-        self._orders.append(TakeObservation(observation, is_collected))
+            self._order(TakeLens(camera, self.data.lenses[camera]))
+        self._order(TakeObservation(observation, is_collected))
         self._told += 1
+        self._unsolved_ns.append(observation.stamp_ns)
 
     @property
     def is_idle(self) -> bool:
@@ -194,13 +245,14 @@ class Follower:
 
     def camera_moved(self, move: CameraMove) -> None:
         if self.data.tell(move):
-            self._orders.append(TakeMove(move))
+            self._order(TakeMove(move))
 
     def leave_open(self, cameras: frozenset[str]) -> None:
         self._solver.tell([LeaveOpen(cameras)])
 
     def finish(self) -> None:
         """Have everything solved to the end; the report comes with the solver's news."""
+        self._collected.clear()
         self._ask(Finish())
 
     def ask(self) -> None:

@@ -6,6 +6,8 @@ from trigpoint.fusion.estimators.interface import Estimator
 from trigpoint.fusion.estimators.results import Results, map_id_of, results_of
 from trigpoint.fusion.model.dataset import DataSet
 
+from .solver_messages import Solution
+
 
 class Reports(Protocol):
     """The results as they are known now."""
@@ -17,6 +19,11 @@ class Reports(Protocol):
     @property
     def is_answered(self) -> bool:
         """Whether everything that was asked for has been reported, the end of the session too."""
+        ...
+
+    @property
+    def solution(self) -> Solution | None:
+        """The last solution, from which a later process goes on; None where there is no solver."""
         ...
 
     @property
@@ -41,6 +48,7 @@ class Immediate:
     def __init__(self, data: DataSet, estimator: Estimator) -> None:
         self._data, self._estimator = data, estimator
         self.is_answered = self.is_final = self.has_results = True
+        self.solution = None
 
     def ask(self) -> None:
         """Nothing needs to be requested."""

@@ -25,10 +25,10 @@ class TakeLens:
 
 @dataclass(frozen=True, slots=True)
 class TakeOdometry:
-    """A robot's odometry message, as it was taken."""
+    """A robot's odometry messages, as they were taken: stamps (n,) and poses (n)."""
 
     robot: str
-    stamp_ns: int
+    stamps_ns: tuple[int, ...]
     odom_from_base: Pose
 
 
@@ -115,6 +115,15 @@ class Covered:
 
 
 News = Solved | Event | Reported | Suggested | Covered
+
+
+@dataclass(frozen=True, slots=True)
+class Solution:
+    """A solution from which corrections go on after a restart; none of its sightings is stamped
+    later than `until_ns`."""
+
+    solved: Solved
+    until_ns: int
 
 
 class Solver(Protocol):

@@ -33,6 +33,7 @@ class SolverWorker:
     def __init__(self, data: DataSet, limits: Limits = LIVE) -> None:
         self._data, self._smoother = data, Smoother(data, limits)
         self._count = 0
+        self._is_collecting = False  # so that everything is solved once, at `Finish`
         self._orders = 0
         self._told, self._solutions = data.past, 0
 
@@ -41,7 +42,8 @@ class SolverWorker:
         if isinstance(order, TakeLens):
             self._data.lenses[order.camera] = order.lens
         elif isinstance(order, TakeOdometry):
-            self._smoother.add_odometry(order.robot, order.stamp_ns, order.odom_from_base)
+            for row, stamp_ns in enumerate(order.stamps_ns):
+                self._smoother.add_odometry(order.robot, stamp_ns, order.odom_from_base[row])
         elif isinstance(order, TakeObservation):
             yield from self._take(order)
         elif isinstance(order, TakeMove):
@@ -51,17 +53,19 @@ class SolverWorker:
         else:
             self._orders += 1
             if isinstance(order, Finish):
+                self._is_collecting = False
                 yield from self._solve()
             yield self.report(is_final=isinstance(order, Finish))
 
     def rest(self) -> Iterator[News]:
         """Explain what came, where that is due; called when no order waits. Yields the news."""
-        if self._smoother.is_due:
+        if self._smoother.is_due and not self._is_collecting:
             yield from self._solve()
             yield self.report()
 
     def _take(self, order: TakeObservation) -> Iterator[News]:
         self._count += 1
+        self._is_collecting |= order.is_collected
         if order.is_collected:
             self._smoother.collect(order.observation)
             return

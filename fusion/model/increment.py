@@ -1,22 +1,22 @@
 """The increment between two odometry messages, taken as a motion with a constant twist."""
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from trigpoint.geometry import Pose
-from trigpoint.geometry.rotation import Array
 
 from .motion import twist_of
 
 
 class Increment(NamedTuple):
-    """Length (m), angle (rad), and twist (6,): translation, rotation vector, in the base's axes."""
+    """Length (m), angle (rad), and twist: translation, rotation vector, in the base's axes."""
 
     length_m: float
     angle_rad: float
-    twist: Array
+    twist: Sequence[float]
 
 
 def increment(before: Pose, after: Pose) -> Increment:
@@ -24,7 +24,7 @@ def increment(before: Pose, after: Pose) -> Increment:
     step = before.inverse() @ after
     twist = twist_of(step)
     length, angle = np.linalg.norm(step.translation), np.linalg.norm(twist[3:])
-    return Increment(float(length), float(angle), twist)
+    return Increment(float(length), float(angle), twist.tolist())
 
 
 def planar_increment(before: Pose, after: Pose) -> Increment:
@@ -42,15 +42,15 @@ def planar_increment(before: Pose, after: Pose) -> Increment:
     if abs(turn) > 1e-4:
         a, b = math.sin(turn) / turn, (1 - math.cos(turn)) / turn
     square = a * a + b * b
-    twist = np.array([(a * x + b * y) / square, (a * y - b * x) / square, 0, 0, 0, turn])
+    twist = ((a * x + b * y) / square, (a * y - b * x) / square, 0.0, 0.0, 0.0, turn)
     return Increment(math.hypot(x, y), abs(turn), twist)
 
 
 def in_plane(pose: Pose) -> Pose:
     """The pose projected into the plane: position and heading; with plain floats too."""
-    forward, left = float(pose.rotation[0, 0]), float(pose.rotation[1, 0])
+    forward, left = pose.rotation.item(0), pose.rotation.item(3)
     length = math.hypot(forward, left)
     cosine, sine = (forward / length, left / length) if length else (1.0, 0.0)
-    rotation = np.array(((cosine, -sine, 0.0), (sine, cosine, 0.0), (0.0, 0.0, 1.0)))
+    rotation = np.array((cosine, -sine, 0.0, sine, cosine, 0.0, 0.0, 0.0, 1.0)).reshape(3, 3)
     x, y, _ = pose.translation.tolist()
     return Pose(rotation, np.array((x, y, 0.0)))

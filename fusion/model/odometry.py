@@ -7,7 +7,7 @@ the increment's twist and of its variance. The core composes the motion (`odomet
 
 import bisect
 import copy
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from enum import Enum
 
 import numpy as np
@@ -19,7 +19,7 @@ from trigpoint.geometry.rotation import Array
 from trigpoint.site.config import OdometryNoise
 
 from . import odometry_kernels
-from .increment import in_plane, increment, planar_increment
+from .increment import Increment, in_plane, increment, planar_increment
 from .motion import STILL, Motion, both, composed, moved
 from .rest import Rest
 
@@ -111,7 +111,7 @@ class OdometryTrack:
 
     @property
     def last_ns(self) -> int:
-        return int(self._stamps[self._count - 1])
+        return self._stamps.item(self._count - 1)
 
     def covers(self, stamp_ns: int) -> bool:
         """Whether the robot's motion is known at this moment."""
@@ -122,62 +122,59 @@ class OdometryTrack:
 
         Once the robot has stood for long, the last message is moved on instead.
         """
-        if self._count and stamp_ns <= self.last_ns:
+        row = self._count
+        if row and stamp_ns <= self.last_ns:
             return Added.STALE
         self._grow()
-        row = self._count
-        self._stamps[row] = stamp_ns
         self.reported = in_plane(odom_from_base) if self.planar else odom_from_base
         pose = self._rest.add(stamp_ns, self.reported)
+        self._stamps[row] = stamp_ns
         self._rotations[row], self._translations[row] = pose.rotation, pose.translation
-        self._count += 1
-        if row == 0:
-            return Added.TAKEN
-        added = self._add_twist(row)
-        self._period_ns = stamp_ns - int(self._stamps[row - 1])
-        self._merge_if_standing(row)
+        self._count = row + 1
+        return self._add_step(row, stamp_ns, pose) if row else Added.TAKEN
+
+    def _add_step(self, row: int, stamp_ns: int, after: Pose) -> Added:
+        """Add the step that ends at a row."""
+        before = Pose(self._rotations[row - 1], self._translations[row - 1])
+        step = (planar_increment if self.planar else increment)(before, after)
+        period_ns = stamp_ns - self._stamps.item(row - 1)
+        added = Added.JUMP if self._is_jump(row, step, period_ns / NANOSECONDS) else Added.TAKEN
+        if added is Added.JUMP:
+            self._jumps[row] = True
+            self._jump_rows.append(row)
+        else:
+            self._twists[row] = step.twist
+        self._period_ns = period_ns
+        is_there = added is Added.TAKEN and _is_without_motion(step.twist)
+        self._standing = self._standing + 1 if is_there else 0
+        if self._standing > MOST_STANDING:
+            self._merge(row)
         return added
 
-    def _merge_if_standing(self, row: int) -> None:
-        """Merge the last message with the one before it, where the robot has stood for long."""
-        is_there = not self._jumps[row] and self._is_without_motion(row)
-        self._standing = self._standing + 1 if is_there else 0
-        is_step = row > 1 and self._stands(row) and self._stands(row - 1)
-        if self._standing > MOST_STANDING and is_step:
+    def _is_jump(self, row: int, step: Increment, seconds: float) -> bool:
+        """Whether the motion in a step is unknown; notes what may have been driven unseen in it."""
+        usual = self._period_ns / NANOSECONDS
+        if row > 1 and seconds > max(LONGEST_GAP_S, _GAP_PERIODS * usual):
+            # If it went on at its speed, the ends are known but not the path between them;
+            # if it came much less far, its counters missed some motion or it drove about.
+            reach = float(np.linalg.norm(self._twists[row - 1, :3])) / usual * seconds
+            self._gaps[row] = max(reach, step.length_m, _ALLOWANCE)
+            if step.length_m < _GAP_SHARE * reach - _ALLOWANCE:
+                return True
+        is_far = step.length_m > MAXIMUM_SPEED * seconds + _ALLOWANCE
+        return is_far or step.angle_rad > MAXIMUM_TURN_RATE * seconds + _ALLOWANCE
+
+    def _merge(self, row: int) -> None:
+        """Merge the last message with the one before it, where the robot stood in both steps."""
+        if row > 1 and self._stands(row) and self._stands(row - 1):
             self._stamps[row - 1] = self._stamps[row]
             self._count = row
 
     def _stands(self, row: int) -> bool:
         """Whether the robot is known not to have moved in the step that ends at a row."""
-        return not (self._jumps[row] or self._gaps[row]) and self._is_without_motion(row)
-
-    def _is_without_motion(self, row: int) -> bool:
-        return all(-STILL < part < STILL for part in self._twists[row].tolist())
-
-    def _add_twist(self, row: int) -> Added:
-        before = Pose(self._rotations[row - 1], self._translations[row - 1])
-        after = Pose(self._rotations[row], self._translations[row])
-        length, angle, twist = (planar_increment if self.planar else increment)(before, after)
-        seconds = (self._stamps[row] - self._stamps[row - 1]) / NANOSECONDS
-        if row > 1:
-            usual = self._period_ns / NANOSECONDS
-            if seconds > max(LONGEST_GAP_S, _GAP_PERIODS * usual):
-                # If it went on at its speed, the ends are known but not the path between them;
-                # if it came much less far, its counters missed some motion or it drove about.
-                reach = float(np.linalg.norm(self._twists[row - 1, :3])) / usual * seconds
-                self._gaps[row] = max(reach, length, _ALLOWANCE)
-                if length < _GAP_SHARE * reach - _ALLOWANCE:
-                    return self._jumped(row)
-        far = length > MAXIMUM_SPEED * seconds + _ALLOWANCE
-        if far or angle > MAXIMUM_TURN_RATE * seconds + _ALLOWANCE:
-            return self._jumped(row)
-        self._twists[row] = twist
-        return Added.TAKEN
-
-    def _jumped(self, row: int) -> Added:
-        self._jumps[row] = True
-        self._jump_rows.append(row)
-        return Added.JUMP
+        if self._jumps[row] or self._gaps[row]:
+            return False
+        return _is_without_motion(self._twists[row].tolist())
 
     def forget_before(self, stamp_ns: int) -> None:
         """Drop what lies before the last message at or before a moment."""
@@ -391,3 +388,7 @@ class OdometryTrack:
             *(self._stamps[rows], self._rotations[rows], self._translations[rows]),
             *(self._twists[rows], self._jumps[rows], self._gaps[rows]),
         )
+
+
+def _is_without_motion(twist: Sequence[float]) -> bool:
+    return all(-STILL < part < STILL for part in twist)

@@ -9,7 +9,7 @@ readings repeat exactly nothing is noise, and every step is motion.
 
 import math
 from collections import deque
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from trigpoint.base.clock import NANOSECONDS, to_ns
 from trigpoint.geometry import Pose
@@ -25,23 +25,27 @@ _MOST_PLACE, _MOST_TURN = 0.01, math.radians(1)
 # after a start). No robot turns as slowly.
 _BIAS = math.radians(0.1)  # rad/s
 # Over a longer silence than this, and than so many of the intervals before, nothing is noise.
-_GAP_S, _GAP_INTERVALS = 1.0, 3
+_GAP_NS, _GAP_INTERVALS = to_ns(1.0), 3
+_RECENT_NS, _ROOT_OF_2 = to_ns(RECENT_S), math.sqrt(2)
 
 
-@dataclass(frozen=True, slots=True)
-class _Reading:
-    """A pose, and how far it is from the one before: m, rad."""
+class _Reading(NamedTuple):
+    """A pose, also as plain numbers, and how far it is from the one before: m, rad."""
 
     stamp_ns: int
     pose: Pose
-    place: tuple[float, ...]
-    turn: tuple[float, ...]
-    step: tuple[float, float] = (0.0, 0.0)
+    place: list[float]
+    turn: list[float]
+    step: tuple[float, float]
 
     def apart(self, other: "_Reading") -> tuple[float, float]:
-        """How far two readings are apart: m, rad (by the chord between their rotations)."""
-        turn = math.dist(self.turn, other.turn) / math.sqrt(2)
-        return math.dist(self.place, other.place), turn
+        """How far two readings are apart: m, rad."""
+        return _apart(self.place, self.turn, other)
+
+
+def _apart(place: list[float], turn: list[float], other: _Reading) -> tuple[float, float]:
+    """How far a pose is from a reading: m, rad (by the chord between their rotations)."""
+    return math.dist(place, other.place), math.dist(turn, other.turn) / _ROOT_OF_2
 
 
 class Rest:
@@ -79,22 +83,20 @@ class Rest:
 
     def _read(self, stamp_ns: int, pose: Pose) -> _Reading:
         """The reading, after those of the same rest or drive that are recent."""
-        place, turn = tuple(pose.translation.tolist()), tuple(pose.rotation.ravel().tolist())
-        reading = _Reading(stamp_ns, pose, place, turn)
+        place, turn = pose.translation.tolist(), pose.rotation.ravel().tolist()
         if not self._recent:
-            return reading
+            return _Reading(stamp_ns, pose, place, turn, (0.0, 0.0))
         last = self._recent[-1]
-        reading = _Reading(stamp_ns, pose, place, turn, reading.apart(last))
         interval_ns = stamp_ns - last.stamp_ns
-        if interval_ns > max(to_ns(_GAP_S), _GAP_INTERVALS * self._interval_ns):
+        if interval_ns > max(_GAP_NS, _GAP_INTERVALS * self._interval_ns):
             if self._anchor is not None:
                 self._recent = deque([last])
                 self._leave(self._anchor)
             self._recent.clear()
-        while len(self._recent) > 1 and stamp_ns - self._recent[0].stamp_ns > to_ns(RECENT_S):
+        while len(self._recent) > 1 and stamp_ns - self._recent[0].stamp_ns > _RECENT_NS:
             self._recent.popleft()
         self._interval_ns = interval_ns
-        return reading
+        return _Reading(stamp_ns, pose, place, turn, _apart(place, turn, last))
 
     def _has_left(self, anchor: _Reading, reading: _Reading) -> bool:
         first = self._recent[0]

@@ -7,6 +7,7 @@ what is wrong. Absurdly large counts are refused at once, as the general path wo
 
 import math
 import struct
+from functools import lru_cache
 
 import numpy as np
 
@@ -53,9 +54,8 @@ def odometry(payload: bytes) -> Odometry | None:
     """The message, or None if it is not valid."""
     try:
         seconds, nanoseconds = STAMP.unpack_from(payload, _START)
-        frame_id, position = _string(payload, _START + STAMP.size)
-        child_frame_id, position = _string(payload, _aligned(position, 4))
-        position = _aligned(position, 8)
+        names = payload[_START + STAMP.size : len(payload) - ODOMETRY.size]
+        frame_id, child_frame_id, position = _frames(names)
         values = ODOMETRY.unpack_from(payload, position)
     except (struct.error, ValueError):
         return None
@@ -64,14 +64,25 @@ def odometry(payload: bytes) -> Odometry | None:
     is_sound = _is_whole(payload, position + ODOMETRY.size) and math.isfinite(sum(values))
     if not is_sound or abs(math.hypot(*quaternion) - 1) > UNIT_TOLERANCE:
         return None
+    twist = np.array(values[7:])
     return Odometry(
         seconds * 1_000_000_000 + nanoseconds,
         frame_id,
         child_frame_id,
         Pose(of_quaternion(*quaternion), np.array((x, y, z))),
-        np.array(values[7:10]),
-        np.array(values[10:]),
+        twist[:3],
+        twist[3:],
     )
+
+
+@lru_cache(maxsize=256)
+def _frames(names: bytes) -> tuple[str, str, int]:
+    """The two names of an odometry message, which are those of the one before, and the position of
+    the pose; ValueError or struct.error if they are none. `names`: what lies behind the stamp."""
+    payload = bytes(_START + STAMP.size) + names
+    frame_id, position = _string(payload, _START + STAMP.size)
+    child_frame_id, position = _string(payload, _aligned(position, 4))
+    return frame_id, child_frame_id, _aligned(position, 8)
 
 
 def pose_estimate(payload: bytes) -> PoseEstimate | None:

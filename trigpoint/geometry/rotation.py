@@ -98,13 +98,12 @@ def of_quaternion(x: float, y: float, z: float, w: float) -> Array:
     """`from_quaternion` of one by plain numbers, which every message needs: a tenth of the time."""
     length = math.sqrt(x * x + y * y + z * z + w * w)  # as numpy adds them, to the last bit
     x, y, z, w = x / length, y / length, z / length, w / length
-    return np.array(
-        (
-            (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-            (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-            (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-        )
+    rows = (
+        *(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        *(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        *(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
     )
+    return np.array(rows).reshape(3, 3)
 
 
 def to_quaternion(matrix: ArrayLike) -> Array:

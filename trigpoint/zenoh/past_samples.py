@@ -23,7 +23,10 @@ _log = logging.getLogger(__name__)
 
 _PATIENCE_S = 5.0
 _AGAIN_S = 0.2
-"""How long a sender is asked from its latest answer on, and how soon again where none came."""
+"""How long a sender is asked from its latest answer on, and how soon again where none came, or one
+with holes."""
+_MOST_FRUITLESS = 2
+"""What so many whole answers in a row do not bring, their sender does not keep."""
 _MOST_SENDERS = 4096
 _MOST_HELD = 4096
 """How many senders are remembered, and how many samples of one may wait for earlier ones."""
@@ -35,14 +38,27 @@ Sender = tuple[str, int]
 @dataclass(slots=True)
 class _Question:
     """What of `key` is asked for: from number `begin` to the latest of the samples, by number, that
-    wait in `held` meanwhile."""
+    wait in `held` meanwhile. `is_answered`: whether the answer came to its end; `brought`: how many
+    samples were in it that had not come; `fruitless`: how many answers in a row brought none."""
 
     key: str
     begin: int
     held: dict[int, zenoh.Sample]
     until_s: float = field(default_factory=lambda: time.monotonic() + _PATIENCE_S)
     is_answered: bool = False
+    brought: int = 0
+    fruitless: int = 0
     timer: threading.Timer | None = None
+
+    def is_done(self, depth: int) -> bool:
+        """Whether nothing is missing, after an answer, of what a sender that keeps `depth` samples
+        may still have."""
+        if not self.is_answered:
+            return False
+        self.fruitless = 0 if self.brought else self.fruitless + 1
+        last = max(self.held)
+        is_whole = all(n in self.held for n in range(max(self.begin, last + 1 - depth), last))
+        return is_whole or self.fruitless >= _MOST_FRUITLESS
 
 
 class History:
@@ -99,12 +115,14 @@ class History:
             latest = max(question.held)
             while question.begin in question.held:
                 question.begin += 1
+            question.is_answered, question.brought = False, 0
 
         def take(reply: zenoh.Reply) -> None:
             if (sample := reply.ok) is not None and (info := sample.source_info) is not None:
                 with self._lock:
                     question.is_answered |= info.source_sn == latest
                     question.until_s = time.monotonic() + _PATIENCE_S
+                    question.brought += info.source_sn not in question.held
                     question.held.setdefault(info.source_sn, sample)
 
         try:
@@ -122,11 +140,11 @@ class History:
 
     def _end(self, sender: Sender, question: _Question) -> None:
         """Hand on the waiting samples, which later ones follow; or ask again, if the answer never
-        came or broke off."""
+        came, broke off or had holes."""
         with self._lock:
             if self._is_closed:
                 return
-            if not question.is_answered and time.monotonic() < question.until_s:
+            if not question.is_done(self._depth) and time.monotonic() < question.until_s:
                 question.timer = threading.Timer(_AGAIN_S, self._ask, (sender, question))
                 question.timer.daemon = True
                 question.timer.start()

@@ -29,6 +29,7 @@ from trigpoint.fusion.live.solver_process import SolverProcess
 from trigpoint.fusion.model.dataset import Event
 from trigpoint.fusion.node import FusionNode
 from trigpoint.fusion.pipeline import Inputs
+from trigpoint.fusion.replaying import Replay
 from trigpoint.map.network import load_network
 from trigpoint.node.node import Node
 from trigpoint.testing.memory_bus import MemoryBroker
@@ -192,6 +193,19 @@ def test_what_comes_while_a_checkpoint_is_read_follows_it(
     assert_same_places(load_network(tmp_path), charuco_results.network)
 
 
+def test_killed_node_goes_on_from_its_last_solution(charuco: Session, tmp_path: Path) -> None:
+    with running(charuco.inputs, tmp_path, SlowSolver) as (killed, node, feed):
+        feed(charuco.messages)
+        until(node, lambda: killed._located_count == 3)
+
+    def never(inputs: Inputs) -> Solver:
+        return SlowSolver(inputs, calls=10**9)
+
+    with running(charuco.inputs, tmp_path, never) as (fusion, node, _):
+        until(node, lambda: fusion.is_resumed and fusion._located_count == 3)
+        assert not fusion._pipeline.reports.has_results
+
+
 def test_stop_while_a_checkpoint_is_read_leaves_everything_as_it_was(
     charuco: Session, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -204,9 +218,9 @@ def test_stop_while_a_checkpoint_is_read_leaves_everything_as_it_was(
     before = (tmp_path / "checkpoint.bin").read_bytes()
     take_again = FusionNode._take_again
 
-    def stopped(self: FusionNode, key: str, payload: bytes) -> int:
+    def stopped(self: FusionNode, replay: Replay, key: str, payload: bytes) -> bool:
         self._node.stop()
-        return take_again(self, key, payload)
+        return take_again(self, replay, key, payload)
 
     monkeypatch.setattr(FusionNode, "_take_again", stopped)
     with running(charuco.inputs, tmp_path, SlowSolver) as (fusion, node, _):

@@ -45,8 +45,9 @@ def sender(session: zenoh.Session) -> ext.AdvancedPublisher:
 
 class Listener:
     """What a History hands on that a plain subscriber feeds, which never asks for anything, with
-    samples `lost` on the way; the History's first `unheard` questions reach nobody, and the answers
-    to the next `broken` ones have their first sample alone."""
+    samples `lost` on the way; the History's first `unheard` questions reach nobody, the answers to
+    the next `broken` ones have their first sample alone, and those to the next `holed` ones their
+    last."""
 
     def __init__(
         self,
@@ -55,11 +56,12 @@ class Listener:
         lost: Collection[str] = (),
         unheard: int = 0,
         broken: int = 0,
+        holed: int = 0,
     ) -> None:
         self.came: list[str] = []
         self.missed = 0
         self._session, self._lost = session, lost
-        self._turns = ["unheard"] * unheard + ["broken"] * broken
+        self._turns = ["unheard"] * unheard + ["broken"] * broken + ["holed"] * holed
         self.history = History(
             self,  # pyright: ignore[reportArgumentType]
             KEPT,
@@ -75,6 +77,9 @@ class Listener:
         elif turn == "broken":
             begin = selector.partition("_sn=")[2].partition("..")[0]
             selector = f"{selector.partition('..')[0]}..{begin}"
+        elif turn == "holed":
+            begin, _, end = selector.partition("_sn=")[2].partition("..")
+            selector = selector.replace(f"{begin}..{end}", f"{end}..{end}")
         self._session.get(selector, *words, **options)  # pyright: ignore
 
     def _receive(self, sample: zenoh.Sample) -> None:
@@ -108,18 +113,34 @@ def test_what_was_sent_before_comes_first(
     assert numbers[0] <= max(0, before + 10 - KEPT)
 
 
-@pytest.mark.parametrize(("unheard", "broken"), [(0, 0), (2, 0), (0, 2), (1, 1)])
+@pytest.mark.parametrize(
+    ("unheard", "broken", "holed"),
+    [(0, 0, 0), (2, 0, 0), (0, 2, 0), (1, 1, 0), (0, 0, 1), (1, 1, 1)],
+)
 def test_what_is_lost_in_between_is_asked_for_until_its_sender_answers(
-    sessions: tuple[zenoh.Session, zenoh.Session], unheard: int, broken: int
+    sessions: tuple[zenoh.Session, zenoh.Session], unheard: int, broken: int, holed: int
 ) -> None:
     publisher = sender(sessions[0])
-    listener = Listener(sessions[1], lost=("3", "4"), unheard=unheard, broken=broken)
+    listener = Listener(sessions[1], lost=("3", "4"), unheard=unheard, broken=broken, holed=holed)
     assert eventually(lambda: meets(sessions[0]))
     for number in range(10):
         publisher.put(str(number))
     assert eventually(lambda: listener.came[-1:] == ["9"])
     assert listener.came == [str(number) for number in range(10)]
     assert listener.missed == 0
+
+
+def test_what_is_missing_from_every_answer_is_counted_in_the_end(
+    sessions: tuple[zenoh.Session, zenoh.Session],
+) -> None:
+    publisher = sender(sessions[0])
+    listener = Listener(sessions[1], lost=("3", "4"), holed=1000)
+    assert eventually(lambda: meets(sessions[0]))
+    for number in range(10):
+        publisher.put(str(number))
+    assert eventually(lambda: listener.came[-1:] == ["9"])
+    assert listener.came == [str(number) for number in range(10) if number not in (3, 4)]
+    assert listener.missed == 2
 
 
 def test_what_its_sender_no_longer_keeps_is_counted(

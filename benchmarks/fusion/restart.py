@@ -1,0 +1,105 @@
+"""Fusion that is started again: until it has read its checkpoint, until it corrects, and until its
+solver has answered.
+
+    python -m benchmarks restart [--minutes M]
+
+A robot drives round thirty cameras, with odometry at 20 Hz and 0.7 sightings a second, and what
+came lies in a checkpoint. A node goes on from it twice, with its solver in its own process: first
+without, then with the solution that the first one left. Times are the clock's; reading is the
+processor's too, of a process of its own.
+"""
+
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Annotated
+
+import typer
+
+from benchmarks.report import tell
+from benchmarks.table import Row
+from trigpoint.base.clock import SystemClock
+from trigpoint.contract import cdr
+from trigpoint.contract.topics import command_key
+from trigpoint.fusion.checkpoint import CHECKPOINT, full_files, read_checkpoint
+from trigpoint.fusion.inbox import INPUT_TOPICS
+from trigpoint.fusion.live.solver_process import SolverProcess
+from trigpoint.fusion.map_storage import MapStorage
+from trigpoint.fusion.model.inputs import Inputs
+from trigpoint.fusion.node import FusionNode
+from trigpoint.node.node import Node
+from trigpoint.testing.memory_bus import MemoryBroker
+
+from .corridor import Corridor
+
+_CAMERAS = 30
+_POLL_S, _PATIENCE_S = 0.01, 60.0
+
+
+def main(
+    minutes: Annotated[float, typer.Option(help="Of driving: 33 are some 41,000 messages.")] = 33.5,
+) -> None:
+    """Start fusion again on a checkpoint, without and with its last solution."""
+    corridor = Corridor(_CAMERAS, 60 * minutes, pictures_hz=1.0)
+    with TemporaryDirectory() as folder:
+        tell(list(_rows(corridor, Path(folder))))
+
+
+def _rows(corridor: Corridor, folder: Path) -> Iterator[Row]:
+    count = _stored(corridor, folder)
+    for what in ("without a solution", "with one"):
+        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+            work, read, corrects, solved = pool.submit(_started, corridor, folder).result()
+        name = f"{count} messages, {what}"
+        yield Row("restart", f"{name}: work until read", "s", work, 5.0, "the goal")
+        yield Row("restart", f"{name}: read", "s", read, 5.0, "the goal")
+        yield Row("restart", f"{name}: cameras known again", "s", corrects, 5.0, "the goal")
+        yield Row("restart", f"{name}: solved", "s", solved, corrects, "known again")
+
+
+def _stored(corridor: Corridor, folder: Path) -> int:
+    """Store a drive's messages; how many."""
+    site = corridor.inputs.site
+    storage = MapStorage(folder, site, SystemClock(), knows=lambda _: True)
+    for node, message in corridor.messages():
+        key = INPUT_TOPICS[type(message)].key(site.name, node)
+        storage.store(key, cdr.encode(message), message)
+    storage.close()
+    files = [*full_files(folder), folder / CHECKPOINT]
+    return sum(1 for path in files for _ in read_checkpoint(path))
+
+
+def _started(corridor: Corridor, folder: Path) -> tuple[float, float, float, float]:
+    """Start a node on a checkpoint and stop it once all is solved: work until it was read, s, and
+    after how long it was read, its cameras were known and its solver had answered, s."""
+    site, inputs = corridor.inputs.site.name, corridor.inputs
+    broker = MemoryBroker()
+    with (
+        broker.session() as bus,
+        broker.session() as other,
+        Node(bus, site=site, kind="fusion", name="fusion") as node,
+    ):
+        fusion = FusionNode(bus, node, inputs, folder, SystemClock(), solver=_solver)
+        began_s, worked_s = time.monotonic(), time.process_time()
+        fusion.start()
+        _wait(lambda: fusion.is_resumed)
+        work_s, read_s = time.process_time() - worked_s, time.monotonic() - began_s
+        _wait(lambda: node.health.report().values["cameras_located"] != "0")
+        corrects_s = time.monotonic() - began_s
+        asked = command_key(site, "fusion/network")
+        _wait(lambda: not any(reply.error for reply in other.query(asked, timeout_s=_PATIENCE_S)))
+        solved_s = time.monotonic() - began_s
+    fusion.finish()
+    return work_s, read_s, corrects_s, solved_s
+
+
+def _solver(inputs: Inputs) -> SolverProcess:
+    return SolverProcess(inputs.data_set())
+
+
+def _wait(holds: Callable[[], bool]) -> None:
+    while not holds():
+        time.sleep(_POLL_S)

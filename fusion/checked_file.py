@@ -1,0 +1,26 @@
+"""Files that are replaced whole, with a head and a checksum."""
+
+import os
+import zlib
+from pathlib import Path
+
+_CHECK = 4  # bytes of the checksum
+
+
+def save_checked(path: Path, magic: bytes, body: bytes, *, is_synced: bool = True) -> None:
+    """Replace a file; a killed process leaves the one before. `is_synced`: only once the disk has
+    it. Raises OSError where the disk does not take it."""
+    part = path.with_suffix(".part")
+    with part.open("wb") as file:
+        file.write(magic + zlib.crc32(body).to_bytes(_CHECK, "little") + body)
+        if is_synced:
+            file.flush()
+            os.fsync(file.fileno())
+    part.replace(path)
+
+
+def checked_body(data: bytes, magic: bytes) -> bytes | None:
+    """The body of a file's bytes; None where they are not whole, or of another kind."""
+    body = data[len(magic) + _CHECK :]
+    check = int.from_bytes(data[len(magic) :][:_CHECK], "little")
+    return body if data.startswith(magic) and zlib.crc32(body) == check else None

@@ -1,0 +1,151 @@
+"""The file of a map's last solution, from which corrections go on at once after a restart.
+
+The checkpoint alone makes the map (decisions/0602): this file only bridges the time until it is
+solved again, and where it does not fit what is there, corrections begin then.
+"""
+
+import hashlib
+import logging
+from pathlib import Path
+from typing import Any
+from uuid import UUID
+
+import msgspec
+import numpy as np
+
+from trigpoint import __version__
+from trigpoint.geometry.rotation import Array
+
+from .checked_file import checked_body, save_checked
+from .live.solver_messages import Solution, Solved
+from .model.dataset import Conclusions
+from .model.inputs import Inputs
+from .model.known_cameras import Creep
+from .model.problem import Layout, State
+from .pipeline import Pipeline
+from .solver.filter import Filter
+from .solver.gaussian import Gaussian
+
+SOLUTION = "solution.bin"
+"""Its name in the folder of a map."""
+_MAGIC = b"trigpoint-solution/1\n"  # another number with each change of what is in it
+
+_log = logging.getLogger(__name__)
+
+
+class _Document(msgspec.Struct):
+    """`inputs`: a digest of what the solution rests on beside messages, the program too; `shares`:
+    camera, robot, stamp and share."""
+
+    inputs: bytes
+    map_id: str
+    until_ns: int
+    state: State
+    stamps_ns: dict[str, int]
+    layout: Layout
+    mean: Array
+    covariance: Array
+    shares: list[tuple[str, str, int, float]]
+    conclusions: Conclusions
+    located: tuple[str, ...]
+
+
+class SolutionFile:
+    """The last solution of the maps in a folder, one after the other. Not thread-safe."""
+
+    def __init__(self, folder: Path, inputs: Inputs) -> None:
+        self._path, self._inputs = folder / SOLUTION, _digest(inputs)
+        self._creep = Creep.of_all(inputs.site.cameras)
+        self._kept: Solution | None = None
+
+    def keep(self, pipeline: Pipeline) -> None:
+        """Replace the file where the last solution is a new one."""
+        solution = pipeline.reports.solution
+        if solution is None or solution is self._kept:
+            return
+        self._kept = solution
+        document = self._document(solution, pipeline.map_id)
+        body = msgspec.msgpack.encode(document, enc_hook=_plain)
+        try:
+            save_checked(self._path, _MAGIC, body, is_synced=False)
+        except OSError as reason:
+            _log.warning(
+                "%s: not written (%s); started again, fusion makes corrections once all is solved",
+                self._path,
+                reason.strerror,
+            )
+
+    def load(self, map_id: UUID | None, now_ns: int) -> Solution | None:
+        """The last solution of this map, with its cameras as uncertain as they may have crept until
+        now; None where there is none, or where it rests on another site file, on other targets or
+        lenses, or is damaged or another version's."""
+        try:
+            body = checked_body(self._path.read_bytes(), _MAGIC)
+            if body is None:
+                raise ValueError("it is damaged, or another version's")
+            document = msgspec.msgpack.decode(body, type=_Document, dec_hook=_array)
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError) as reason:  # msgspec's are ValueErrors
+            _log.warning("%s: not used (%s)", self._path, reason)
+            return None
+        if document.map_id != str(map_id):
+            return None
+        if document.inputs != self._inputs:
+            _log.info("%s: not used, since the site or the program has changed", self._path)
+            return None
+        return self._solution(document, now_ns)
+
+    def _document(self, solution: Solution, map_id: UUID | None) -> _Document:
+        solved, known = solution.solved, solution.solved.known
+        return _Document(
+            inputs=self._inputs,
+            map_id=str(map_id),
+            until_ns=solution.until_ns,
+            state=known.state,
+            stamps_ns=known.stamps_ns,
+            layout=known.layout,
+            mean=known.known.mean,
+            covariance=known.known.covariance,
+            shares=[(*pair, *share) for pair, share in solved.shares.items()],
+            conclusions=solved.conclusions,
+            located=solved.located,
+        )
+
+    def _solution(self, document: _Document, now_ns: int) -> Solution:
+        source = Gaussian.of(document.mean, document.covariance)
+        known = Filter(document.state, document.stamps_ns, document.layout, source)
+        crept = {
+            camera: self._creep[camera].covariance(now_ns - document.until_ns)
+            for camera in known.layout.pose.keys() & self._creep.keys()
+        }
+        shares = {(camera, robot): (at, share) for camera, robot, at, share in document.shares}
+        conclusions, located = document.conclusions, document.located
+        solved = Solved(0, known.spread(crept), shares, conclusions, located)
+        return Solution(solved, document.until_ns)
+
+
+def _digest(inputs: Inputs) -> bytes:
+    site, known = inputs.site, inputs.known
+    parts = (
+        *(site.cameras, site.robots, site.fusion, site.default_target),
+        *(inputs.targets, inputs.lenses, known.poses, known.information, __version__),
+    )
+    return hashlib.sha256(msgspec.msgpack.encode(parts, enc_hook=_plain)).digest()
+
+
+def _plain(value: Any) -> object:
+    """What msgpack does not have, by what it has."""
+    if isinstance(value, np.ndarray):
+        return value.dtype.str, value.shape, value.tobytes()
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, Path):
+        return str(value)
+    raise NotImplementedError(f"no form for {type(value)}")
+
+
+def _array(_type: Any, plain: Any) -> np.ndarray:
+    """An array of a document; ValueError where it is none."""
+    kind, shape, data = plain
+    return np.frombuffer(data, kind).reshape(shape).copy()

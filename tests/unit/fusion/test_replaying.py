@@ -1,0 +1,132 @@
+"""A replay works where there is something to do, with what comes of work at every message."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.fusion.drives import (
+    RobotPlan,
+    Session,
+    circle,
+    lab_cameras,
+    lab_plan,
+    make_session,
+)
+
+from trigpoint.base.clock import to_ns
+from trigpoint.contract.messages import Odometry, Sightings
+from trigpoint.fusion.inbox import Input
+from trigpoint.fusion.live.solver_messages import (
+    News,
+    Order,
+    TakeLens,
+    TakeObservation,
+    TakeOdometry,
+)
+from trigpoint.fusion.pipeline import Pipeline
+from trigpoint.fusion.replaying import replayed
+from trigpoint.tools.simulation.sight.targets import target_of
+
+
+class Listed:
+    """A solver that only notes what it is told."""
+
+    def __init__(self) -> None:
+        self.orders: list[Order] = []
+
+    def tell(self, orders: Sequence[Order]) -> None:
+        self.orders += orders
+
+    def news(self) -> list[News]:
+        return []
+
+    def close(self) -> None:
+        """Nothing is held open."""
+
+
+@pytest.fixture(scope="module")
+def two() -> Session:
+    """Two robots with different targets, before rolling shutters with clocks to be estimated."""
+    more = "time_offset_sigma = 0.05\nline_delay = 3e-5"
+    robots = {
+        "r1": RobotPlan(circle(), target_of("charuco")),
+        "r2": RobotPlan(circle(radius=0.9), target_of("checkerboard")),
+    }
+    return make_session(lab_plan(cameras=lab_cameras(3, more=more), robots=robots, seconds=12.0))
+
+
+def told(
+    session: Session, messages: list[tuple[str, Input]], *, always: bool
+) -> tuple[list[Order], dict[str, int]]:
+    """What a solver is told of messages, and what was left out; `always`: at work each time."""
+    solver = Listed()
+    pipeline = Pipeline(session.inputs, is_live=False, solver=solver)
+    if always:
+        for node, message in messages:
+            pipeline.push(node, message)
+            if isinstance(message, Odometry):
+                pipeline.advance()
+    else:
+        replayed(pipeline, messages)
+    pipeline.resumed()
+    return solver.orders, pipeline.left_out
+
+
+def flat(orders: list[Order]) -> list[object]:
+    """Each observation, behind the odometry that the solver has by then of each robot."""
+    found, seen = list[object](), dict[str, list[bytes]]()
+    for order in orders:
+        if isinstance(order, TakeOdometry):
+            poses = order.odom_from_base
+            assert len(poses) == len(order.stamps_ns)
+            seen.setdefault(order.robot, []).extend(
+                np.int64(stamp_ns).tobytes() + poses[row].rows().tobytes()
+                for row, stamp_ns in enumerate(order.stamps_ns)
+            )
+        elif isinstance(order, TakeObservation):
+            observation = order.observation
+            sweeps = [view.sweep for view in observation.views]
+            twists = [each.twist.tobytes() for each in sweeps if each is not None]
+            assert len(twists) == len(observation.views)
+            here = observation.camera, observation.robot, observation.stamp_ns, twists
+            found.append((here, {robot: b"".join(each) for robot, each in seen.items()}))
+        else:
+            found.append((type(order), order.camera if isinstance(order, TakeLens) else None))
+    return found
+
+
+def shuffled(session: Session) -> list[tuple[str, Input]]:
+    """Some sightings come late, and one camera's a minute ahead of their time."""
+    random = np.random.default_rng(4)
+
+    def arrives_ns(message: Input) -> float:
+        is_late = isinstance(message, Sightings) and random.random() < 0.3
+        return message.stamp_ns + is_late * random.uniform(0, 1e9)
+
+    messages = sorted(session.messages, key=lambda item: arrives_ns(item[1]))
+    return [
+        (node, replace(message, stamp_ns=message.stamp_ns + to_ns(60.0)))
+        if node == "c3" and isinstance(message, Sightings)
+        else (node, message)
+        for node, message in messages
+    ]
+
+
+def test_solver_is_told_the_same(two: Session) -> None:
+    messages = shuffled(two)
+    (orders, left_out), (others, others_left_out) = (
+        told(two, messages, always=always) for always in (False, True)
+    )
+    assert flat(orders) == flat(others)
+    assert left_out == others_left_out
+    assert sum(isinstance(order, TakeObservation) for order in orders) > 40
+
+
+def test_odometry_is_told_in_fewer_orders_than_there_are_messages(two: Session) -> None:
+    messages = list(two.messages)
+    orders, _ = told(two, messages, always=False)
+    count = sum(isinstance(message, Odometry) for _, message in messages)
+    runs = [order for order in orders if isinstance(order, TakeOdometry)]
+    assert sum(len(order.stamps_ns) for order in runs) == count
+    assert len(runs) < count / 2
