@@ -6,6 +6,8 @@
 #include <limits>
 #include <stdexcept>
 
+#include "border.hpp"
+
 namespace trigpoint {
 
 namespace {
@@ -141,3 +143,71 @@ Eigen::Vector2d Lens::equidistant(const Eigen::Vector2d& normalised, Eigen::Matr
 }
 
 }  // namespace trigpoint
+
+using namespace trigpoint;
+
+namespace {
+
+using Eigen::Index;
+using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+
+Lens lens_of(const Argument& given) { return {given.array.as<double>(), given.array.shape[0]}; }
+
+}  // namespace
+
+// (lens (p,), points (n, 3), pixels (n, 2), by the points (n or 0, 6), by the parameters (n or 0,
+// 2 p)): 0; derivatives that have no rows are not wanted.
+TRIGPOINT_KERNEL(tp_lens_projected) {
+    const Lens lens = lens_of(arguments[0]);
+    const auto points = arguments[1].array.rows<3>();
+    auto pixels = arguments[2].array.rows<2>();
+    auto by_points = arguments[3].array.rows<6>();
+    const Index count = points.rows(), by_count = arguments[4].array.shape[0];
+    if ((by_points.rows() != 0 && by_points.rows() != count) ||
+        (by_count != 0 &&
+         (by_count != count || arguments[4].array.shape[1] != 2 * lens.parameters())))
+        throw std::invalid_argument("derivatives of other points");
+    Eigen::Matrix<double, 2, 3> by_point;
+    Eigen::MatrixXd by(2, lens.parameters());
+    double* by_parameters = arguments[4].array.as<double>();
+    for (Index n = 0; n < count; ++n) {
+        const Eigen::Vector3d point = points.row(n);
+        pixels.row(n) = lens.project(point, by_point);
+        if (by_points.rows() > 0) by_points.row(n) << by_point.row(0), by_point.row(1);
+        if (by_count == 0) continue;
+        lens.by_parameters(point, by);
+        Eigen::Map<RowMajor>(by_parameters + by.size() * n, 2, by.cols()) = by;
+    }
+    return 0;
+}
+
+// (lens (p,), points (n, 3), limits (3,): the picture's width and height, and how far from the axis
+// the lens folds back, whether each is seen (n,)): 0.
+TRIGPOINT_KERNEL(tp_lens_sees) {
+    constexpr double NEAREST = 1e-6;
+    const Lens lens = lens_of(arguments[0]);
+    const auto points = arguments[1].array.rows<3>();
+    const double* limits = arguments[2].array.as<double>();
+    bool* is_seen = arguments[3].array.as<bool>();
+    Eigen::Matrix<double, 2, 3> by_point;
+    for (Index n = 0; n < points.rows(); ++n) {
+        const Eigen::Vector3d point = points.row(n);
+        is_seen[n] = point.z() > NEAREST;
+        if (!is_seen[n]) continue;
+        const Eigen::Vector2d pixel = lens.project(point, by_point);
+        is_seen[n] = pixel.x() >= -0.5 && pixel.x() <= limits[0] - 0.5 && pixel.y() >= -0.5 &&
+                     pixel.y() <= limits[1] - 0.5 &&
+                     (point.head<2>() / point.z()).norm() < limits[2] &&
+                     by_point.leftCols<2>().determinant() > 0;
+    }
+    return 0;
+}
+
+// (lens (p,), pixels (n, 2), directions (n, 2)): 0; NaN where there is none.
+TRIGPOINT_KERNEL(tp_lens_directions) {
+    const Lens lens = lens_of(arguments[0]);
+    const auto pixels = arguments[1].array.rows<2>();
+    auto directions = arguments[2].array.rows<2>();
+    for (Index n = 0; n < pixels.rows(); ++n) directions.row(n) = lens.direction(pixels.row(n));
+    return 0;
+}
