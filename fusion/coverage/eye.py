@@ -78,10 +78,7 @@ class Eye:
 
     def shows(self, points: Array) -> np.ndarray:
         """Which points (…, 3) of the optical frame lie in the picture, off its edge; (…) bool."""
-        inside = self.lens.sees(points)
-        pixels = self.lens.project(np.where(inside[..., None], points, [0.0, 0.0, 1.0]))
-        high = np.array([self.lens.width, self.lens.height]) - 1 - MARGIN_PX
-        return inside & np.all((pixels > MARGIN_PX) & (pixels < high), axis=-1)
+        return self.lens.sees(points, margin_px=MARGIN_PX)
 
     def _angles(self, pixels: Array | list[list[float]]) -> Array:
         """The angles of pixels (n, 2) from the optical axis, radians; NaN where unknown."""

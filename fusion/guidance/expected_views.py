@@ -140,11 +140,7 @@ def _sees(camera: CameraState, map_from_face: Pose, face: Face) -> tuple[np.ndar
 
 def _inside(camera: CameraState, points_map: Array) -> np.ndarray:
     """Which points (n, k, 3) in the map are well in the picture, (n, k)."""
-    optical, lens = camera.map_from_camera.inverse() @ points_map, camera.lens
-    inside = lens.sees(optical)
-    pixels = lens.project(np.where(inside[..., None], optical, [0.0, 0.0, 1.0]))
-    low, high = _MARGIN_PX, np.array([lens.width, lens.height]) - 1 - _MARGIN_PX
-    return inside & np.all((pixels >= low) & (pixels <= high), axis=-1)
+    return camera.lens.sees(camera.map_from_camera.inverse() @ points_map, margin_px=_MARGIN_PX)
 
 
 @dataclass(frozen=True, slots=True)

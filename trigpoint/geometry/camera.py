@@ -32,7 +32,7 @@ _PROJECTED = Kernel(
     *(In(_REAL, ("p",)), _POINTS, Out(_REAL, ("n", 2)), Out(_REAL, ("d", 6))),
     Out(_REAL, ("e", "columns")),
 )
-_SEEN = Kernel("tp_lens_sees", In(_REAL, ("p",)), _POINTS, In(_REAL, (3,)), Out(np.bool_, ("n",)))
+_SEEN = Kernel("tp_lens_sees", In(_REAL, ("p",)), _POINTS, In(_REAL, (4,)), Out(np.bool_, ("n",)))
 _DIRECTIONS = Kernel(
     "tp_lens_directions", In(_REAL, ("p",)), In(_REAL, ("n", 2)), Out(_REAL, ("n", 2))
 )
@@ -172,14 +172,15 @@ class CameraModel:
             by_each.reshape(*(shape if by_parameters else (0,)), 2, len(self.parameters)),
         )
 
-    def sees(self, points: ArrayLike) -> np.ndarray:
-        """Which points (…, 3) in the optical frame fall into the picture; (…) bool.
+    def sees(self, points: ArrayLike, *, margin_px: float = -0.5) -> np.ndarray:
+        """Which points (…, 3) in the optical frame fall into the picture, so far from the middles
+        of its outermost pixels; (…) bool.
 
         A direction beyond the angle at which the lens model folds back is not seen.
         """
         flat, shape = _rows(points, 3)
         seen = np.empty(len(flat), dtype=bool)
-        limits = np.array([self.width, self.height, _fold_radius(self)], dtype=float)
+        limits = np.array([self.width, self.height, _fold_radius(self), margin_px], dtype=float)
         _SEEN(self.parameters, flat, limits, seen)
         return seen.reshape(shape)
 
