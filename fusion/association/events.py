@@ -102,3 +102,11 @@ def window() -> float:
     """Return by how much the score of one explanation must be worse than another's for it to be
     `EVIDENCE` times as probable."""
     return -2 * math.log(EVIDENCE)
+
+
+def log_sum(scores: list[float]) -> float:
+    """Return -2 ln Σ exp(-score/2), the score of all alternatives together."""
+    if not scores:
+        return np.inf
+    least = min(scores)
+    return least - 2 * float(np.log(sum(np.exp(-0.5 * (score - least)) for score in scores)))

@@ -9,12 +9,14 @@ where no pair agrees well, also that the robot was lifted in one of the gaps bef
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice, pairwise, product
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from .agreement import agreement
 from .budget import Budget
-from .events import Events, window
+from .events import Events, log_sum, window
+from .factor import Factor
 from .graph import Break, Graph, Place, Placed, Tie, Variant
 from .hypothesis import Hypothesis
 from .minimum import Minima
@@ -58,8 +60,10 @@ class Search:
         self.visits, self.is_cut = graph.visits, False
         self.told = ToldMoves(graph)
         self._graphs = Minima(graph)
+        # By graph, which many hypotheses that grow from one share: `_moved_score`.
+        self._pushes = WeakKeyDictionary[Factor, dict[tuple[int | Place, int | Place], float]]()
         self._open_score = [
-            _log_sum(graph.evidence(number).tolist()) + events.pose_score
+            log_sum(graph.evidence(number).tolist()) + events.pose_score
             for number in range(len(self.visits))
         ]
 
@@ -95,16 +99,12 @@ class Search:
     def placed(self, wanted: Sequence[tuple[Hypothesis, Variant]]) -> list[Hypothesis]:
         """Return each hypothesis with the ties and breaks of its variant, its graph solved and
         scored; those whose graph is not determined are left out."""
-        found = []
         minima = self._minima([variant for _, variant in wanted])
-        for (like, variant), there in zip(wanted, minima, strict=True):
-            if there is not None:
-                found.append(self._of(like, variant, there))
-        return found
+        pairs = zip(wanted, minima, strict=True)
+        return [self._of(*each, there) for each, there in pairs if there is not None]
 
     def _of(self, like: Hypothesis, variant: Variant, placed: Placed) -> Hypothesis:
-        """Return a hypothesis with the ties and breaks of a variant and that variant's solved
-        graph, scored."""
+        """Return a hypothesis with a variant and that variant's solved graph, scored."""
         ties, breaks = dict(variant.ties), variant.breaks
         return self.scored(replace(like, ties=ties, breaks=breaks, placed=placed, is_stale=False))
 
@@ -148,12 +148,16 @@ class Search:
         little is likelier wrong."""
         if any(self.visits[n].is_one_picture for n in (earlier, later) if isinstance(n, int)):
             return self.events.moved(np.inf)
+        known = self._pushes.setdefault(placed.factor, {})
+        if (earlier, later) in known:
+            return known[earlier, later]
         cost = agreement(self.graph, placed, earlier, later, self.events.push)
-        apart = _log_sum(cost.reshape(-1).tolist())
+        apart = log_sum(cost.reshape(-1).tolist())
         for each in (earlier, later):
             if isinstance(each, int):
                 apart -= self._open_score[each] - self.events.pose_score
-        return self.events.moved(apart)
+        known[earlier, later] = self.events.moved(apart)
+        return known[earlier, later]
 
     def happened(self, hypothesis: Hypothesis) -> int:
         """Return the number of lifts and moves in a hypothesis, but for moves that were told."""
@@ -394,11 +398,3 @@ class Search:
             for row, column in zip(rows, columns, strict=True)
             if cost[row, column] < best + _WINDOW
         ]
-
-
-def _log_sum(scores: list[float]) -> float:
-    """Return -2 ln Σ exp(-score/2), the score of all alternatives together."""
-    if not scores:
-        return np.inf
-    least = min(scores)
-    return least - 2 * float(np.log(sum(np.exp(-0.5 * (score - least)) for score in scores)))
