@@ -2,8 +2,8 @@
 
 from collections.abc import Iterable, Sequence
 from html import escape
+from importlib import resources
 
-from .style import STYLE
 from .svg import element
 
 _MARK = (
@@ -23,7 +23,7 @@ def html_page(title: str, *sections: str, headline: str, lead: str, footer: str)
         '<meta charset="utf-8">',
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
         element("title", escape(title)),
-        element("style", STYLE),
+        element("style", resources.files(__package__).joinpath("style.css").read_text("utf-8")),
     )
     header = element(
         "header",

@@ -7,6 +7,7 @@ import numpy as np
 from trigpoint.geometry.rotation import Array
 
 _NICE = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
+_COLOURS = 8  # of cameras, k0 … k7 in style.css
 
 
 def element(name: str, *content: str, **attributes: object) -> str:
@@ -48,6 +49,11 @@ def circle(x: float, y: float, r: float, *content: str, **attributes: object) ->
 
 def group(*content: str, **attributes: object) -> str:
     return element("g", *content, **attributes)
+
+
+def camera_colour(number: int) -> str:
+    """The class of a camera's marks, by its place among the cameras."""
+    return f"k{number % _COLOURS}"
 
 
 def drawing(width: float, height: float, *content: str, label: str, **attributes: object) -> str:

@@ -10,8 +10,7 @@ import numpy as np
 from trigpoint.map.network import CameraRecord, Network
 from trigpoint.tools.networks.truth import MOST_SIGMAS, CameraError, NetworkError
 from trigpoint.tools.pages.frame import fixed, row, table
-from trigpoint.tools.pages.style import PALETTE
-from trigpoint.tools.pages.svg import element
+from trigpoint.tools.pages.svg import camera_colour, element
 
 from .facts import CalibrationResults, view_angle_sigmas, view_angles
 
@@ -52,7 +51,7 @@ def overview_table(
         cells += [element("td", n) for n in (str(camera.sightings), str(camera.rejected), rms)]
         cells += [] if error is None else _error_cells(error.cameras.get(name))
         cells += [element("td", escape(column[index])) for column in more.values()]
-        rows.append(element("tr", *cells, class_=f"k{index % PALETTE}"))
+        rows.append(element("tr", *cells, class_=camera_colour(index)))
     return table([*head, *more], rows)
 
 
@@ -149,7 +148,7 @@ def used_table(results: CalibrationResults) -> str:
         wild = int((~found.used).sum())
         numbers = (found.used_sightings, found.rejected, found.pending, int(found.used.sum()), wild)
         cells = (_DISC + escape(name), *map(str, numbers))
-        rows.append(row(cells, class_=f"k{index % PALETTE}"))
+        rows.append(row(cells, class_=camera_colour(index)))
     return table(head, rows)
 
 

@@ -95,7 +95,7 @@ def _over_time(results: DemoResults) -> str:
     if results.robots and len(results.robots[0].truth.t_s):
         words = "Where the robot is said to be, beside where it is"
         figures.append(_figure(words, robot_error_chart(results)))
-    if results.pairs:
+    if results.distances.pairs:
         figures.append(_figure("The distances between cameras", distance_chart(results)))
     if results.series:
         figures.append(_figure("How well each camera is known", uncertainty_chart(results)))

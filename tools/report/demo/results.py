@@ -43,16 +43,6 @@ class CameraResult:
         return self.came_by and self.error is None
 
 
-@dataclass(frozen=True, slots=True)
-class PairResult:
-    """The distance between two cameras: estimated minus true, and its sigma by the covariance."""
-
-    first: str
-    second: str
-    error_m: float
-    sigma_m: float
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
     """A way in the map: seconds since the world's start (n,), metres (n, 2), heading (n,)."""
@@ -223,15 +213,10 @@ class DemoResults:
         return distances(self.network, self.covariance, pairs)
 
     @property
-    def pairs(self) -> list[PairResult]:
-        """Every pair of located cameras beside the truth."""
+    def distance_errors_m(self) -> Array:
+        """Of those `distances`: estimated minus true (n,)."""
         found, places = self.distances, {c.name: c.truth.translation for c in self.cameras}
-        return [
-            PairResult(a, b, metres - float(np.linalg.norm(places[b] - places[a])), sigma_m)
-            for (a, b), metres, sigma_m in zip(
-                found.pairs, found.metres.tolist(), found.sigmas_m.tolist(), strict=True
-            )
-        ]
+        return found.metres - [np.linalg.norm(places[b] - places[a]) for a, b in found.pairs]
 
     @property
     def kinds(self) -> list[KindCount]:
