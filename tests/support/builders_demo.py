@@ -71,7 +71,6 @@ def make_robot(**more: Any) -> RobotResult:
         "live": make_track(0.01),
         "believed": make_track(0.02, count=11),
         "smoothed": make_track(0.005),
-        "corrections": 3,
     }
     return RobotResult("r1", **(fields | more))
 

@@ -88,7 +88,6 @@ class RobotResult:
     live: Track
     believed: Track
     smoothed: Track
-    corrections: int = 0
     suggestion: Pose | None = None
 
     def final_error(self, track: Track) -> FinalError | None:

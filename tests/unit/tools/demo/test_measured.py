@@ -135,7 +135,6 @@ def test_robots_ways_are_held_against_the_truth_where_odometry_ends(results):
     assert robot.final_error(robot.live).place_m == pytest.approx(0.05, abs=1e-4)
     assert robot.final_error(robot.believed).place_m == pytest.approx(0.01, abs=1e-4)
     assert robot.final_error(robot.smoothed).place_m == pytest.approx(0.0, abs=1e-4)
-    assert robot.corrections == 2
 
 
 def test_latencies_are_from_exposure_to_sending(results):

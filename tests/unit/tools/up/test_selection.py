@@ -7,7 +7,7 @@ import pytest
 
 from trigpoint.base.errors import ConfigError, InputError
 from trigpoint.site.config import Site, parse_site
-from trigpoint.tools.up.parts import parts_of
+from trigpoint.tools.up.command import parts_of
 from trigpoint.tools.up.selection import Choice, Selection, selected
 
 SITE = """
