@@ -13,8 +13,8 @@ from trigpoint.geometry import CameraModel, Pose
 from .disturbance import Disturbance, disturbed, with_ways
 from .session import EPOCH_NS
 from .sight.seen_corners import SeenFace, may_be_seen
-from .world import World
-from .wrong_sightings import Labelled, labelled
+from .world import Shown, World
+from .wrong_sightings import disturbed_sighting
 
 Views = dict[str, list[tuple[float, dict[str, list[SeenFace]]]]]
 """Of each camera: the times of its pictures and the faces of each robot in them, without noise."""
@@ -28,7 +28,7 @@ class Truth:
     """
 
     world: World
-    sighted: dict[tuple[str, int], tuple[Labelled, ...]] = field(default_factory=dict)
+    sighted: dict[tuple[str, int], tuple[Shown, ...]] = field(default_factory=dict)
 
     @property
     def start_ns(self) -> int:
@@ -123,11 +123,11 @@ def _sightings(
 ) -> Iterator[tuple[Sightings, int]]:
     """The messages of a camera that have a sighting, and how late each one is."""
     world, eye = truth.world, truth.world.cameras[camera]
-    taken: list[tuple[float, tuple[Labelled, ...]]] = []
+    taken: list[tuple[float, tuple[Shown, ...]]] = []
     for t_s, seen in views:
         random = world.random("wrong sightings", camera, round(t_s * 1e6))
         faces = tuple(
-            labelled(shown, world.target(shown.robot), disturbance, random)
+            disturbed_sighting(shown, world.target(shown.robot), disturbance, random)
             for shown in world.shown(camera, t_s, seen)
         )
         if faces:
@@ -149,8 +149,8 @@ def _sightings(
 
 
 def _best(
-    taken: list[tuple[float, tuple[Labelled, ...]]], most: int
-) -> list[tuple[float, tuple[Labelled, ...]]]:
+    taken: list[tuple[float, tuple[Shown, ...]]], most: int
+) -> list[tuple[float, tuple[Shown, ...]]]:
     """The pictures with the most corners, at most so many, in order of time."""
     counts = [-sum(len(face.sighting.corners) for face in faces) for _, faces in taken]
     chosen = sorted(np.argsort(counts, kind="stable")[:most].tolist())

@@ -1,6 +1,6 @@
 """Sightings that are wrong: displaced, with wild corners, or of a face that is named wrongly."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,25 +11,12 @@ from .disturbance import Disturbance
 from .world import Shown
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Labelled:
-    """A sighting as it is sent, and what an oracle knows of it: the robot's face, whether by the
-    half turn, and which corners (n,) bool have nothing but their noise."""
-
-    sighting: FaceSighting
-    robot: str
-    face: int
-    is_turned: bool
-    is_good: np.ndarray
-
-
-def labelled(
+def disturbed_sighting(
     shown: Shown, target: Target, disturbance: Disturbance, random: np.random.Generator
-) -> Labelled:
+) -> Shown:
     """What becomes of a sighting under a disturbance. `target`: the robot's."""
-    sighting = shown.sighting
+    sighting, is_good = shown.sighting, shown.is_good.copy()
     count = len(sighting.corners)
-    is_good = np.ones(count, dtype=bool)
     # Drawn in any case, so that one share does not move what another one hits.
     chances, direction = random.random(2), _directions(1, random)
     wild, sizes = random.random(count), random.random(count) * _directions(count, random).T
@@ -45,7 +32,7 @@ def labelled(
     name = int(random.choice(others)) if others else sighting.face
     if sighting.face >= 0 and chances[1] < disturbance.misnamed_share:
         sighting = replace(sighting, face=name)
-    return Labelled(sighting, shown.robot, shown.face, shown.is_turned, is_good)
+    return replace(shown, sighting=sighting, is_good=is_good)
 
 
 def _directions(count: int, random: np.random.Generator) -> np.ndarray:
