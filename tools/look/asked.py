@@ -1,7 +1,6 @@
 """What a line of `look` names: a source of pictures, their size, a target."""
 
 import re
-from collections.abc import Callable
 from pathlib import Path
 
 from trigpoint.base.errors import InputError
@@ -59,8 +58,11 @@ def chosen_target(text: str | None, scheme: str) -> Target:
     """
     if text is None:
         text = str(TARGET_HERE) if TARGET_HERE.exists() else "charuco"
-    if text in _NAMED:
-        return _NAMED[text](scheme)
+    if text == "charuco":
+        is_simulated = scheme == "sim"
+        return target_of(text) if is_simulated else parse_target(first_target_text())
+    if text == "checkerboard":
+        return target_of(text)
     name, _, counts = text.partition(":")
     if name == "checkerboard":
         return _counted_board(counts)
@@ -70,16 +72,6 @@ def chosen_target(text: str | None, scheme: str) -> Target:
             "a target file, FILE.toml"
         )
     return load_target(Path(text))
-
-
-def _charuco(scheme: str) -> Target:
-    return target_of("charuco") if scheme == "sim" else parse_target(first_target_text())
-
-
-_NAMED: dict[str, Callable[[str], Target]] = {
-    "charuco": _charuco,
-    "checkerboard": lambda _: target_of("checkerboard"),
-}
 
 
 def _counted_board(counts: str) -> Target:

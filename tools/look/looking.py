@@ -24,10 +24,9 @@ from trigpoint.tools.pictures.intrinsics import write_lens
 
 from .asked import scheme_of
 from .guidance import Guide
-from .known import KnownLens
 from .seen import MOST_BEND, Seen, Watch
 from .shown import Shown, faces_of, facts_of, lens_of, wanted_of
-from .taking import LensTaking
+from .taking import KnownLens, LensTaking
 
 _STILL_APART_NS = to_ns(1.0)
 """Pictures of a folder have no time, and nothing is followed from one to the next: they are this

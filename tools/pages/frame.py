@@ -23,7 +23,10 @@ def html_page(title: str, *sections: str, headline: str, lead: str, footer: str)
         '<meta charset="utf-8">',
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
         element("title", escape(title)),
-        element("style", resources.files(__package__).joinpath("style.css").read_text("utf-8")),
+        element(
+            "style",
+            resources.files("trigpoint.tools.pages").joinpath("style.css").read_text("utf-8"),
+        ),
     )
     header = element(
         "header",
