@@ -10,31 +10,30 @@ from trigpoint.site.target import load_target
 from trigpoint.tools.pictures.account import PictureAccount
 from trigpoint.tools.pictures.detect import stills
 
+from .cameras import STILL_SCHEMES
+
 # This many pictures suffice to see how a board is printed, and take a second.
 _PICTURES = 10
 
 
 def check_boards(site: Site, camera: str) -> list[Check]:
     """Boards that the target files describe wrongly; live cameras are left to their agents."""
-    scheme, _, place = site.camera(camera).source.partition("://")
-    if scheme not in ("dir", "file"):
+    config = site.camera(camera)
+    if config.scheme not in STILL_SCHEMES or config.file is None:
         return []
-    path = site.path(place.partition("?")[0])
     try:
         targets = [load_target(site.path(name)) for name in site.target_names]
         detector = detector_for(targets)
         account = PictureAccount()
-        for still in islice(stills([path], account=account), _PICTURES):
+        for still in islice(stills([site.path(config.file)], account=account), _PICTURES):
             detector.detect(still.picture)
         said = account.lines()
     except TrigpointError as reason:
         return [Check(f"pictures of {camera}", "warning", str(reason), "mend the source")]
     pictures = [Check(f"pictures of {camera}", "warning", line) for line in said]
-    boards = [Check(f"boards of {camera}", "error", *_parted(s)) for s in detector.misdescribed]
+    # Each says what is wrong, and after the last semicolon what to do.
+    boards = [
+        Check(f"boards of {camera}", "error", *s.rpartition("; ")[::2])
+        for s in detector.misdescribed
+    ]
     return pictures + boards
-
-
-def _parted(line: str) -> tuple[str, str]:
-    """What is wrong, and what to do."""
-    wrong, _, remedy = line.rpartition("; ")
-    return wrong, remedy

@@ -14,7 +14,7 @@ from trigpoint.site.config import Site
 
 LOOK_S = 3.0
 _OPENING_S = 8.0
-_STILL_SCHEMES = ("dir", "file")
+STILL_SCHEMES = ("dir", "file")
 _SLOW = 0.7
 """A camera that gives less than this share of its `rate` is reported."""
 _OLD_S = 1.0
@@ -35,8 +35,7 @@ class Glance:
 
 def check_camera(site: Site, name: str) -> list[Check]:
     """Whether a camera opens, and its pictures fit the site file and its lens."""
-    scheme = site.camera(name).source.partition("://")[0]
-    if scheme == "sim":
+    if site.camera(name).scheme == "sim":
         return []
     try:
         glance = look_at(site, name)
@@ -97,7 +96,7 @@ def _picture_check(site: Site, name: str, glance: Glance) -> Check:
         remedy = f"write width = {glance.width} and height = {glance.height}"
         text = f"{text}; the site file says {config.width} × {config.height}"
         return Check(f"camera {name}", "error", text, remedy)
-    is_live = config.source.partition("://")[0] not in _STILL_SCHEMES
+    is_live = config.scheme not in STILL_SCHEMES
     if is_live and glance.age_s > _OLD_S:
         remedy = "see what holds its pictures up: buffers, network, clock"
         return Check(f"camera {name}", "warning", text, remedy)

@@ -36,11 +36,6 @@ def url_of(path: str) -> str:
     return f"{'dir' if Path(path).is_dir() else 'file'}://{path}"
 
 
-def scheme_of(url: str) -> str:
-    """What stands before ://."""
-    return url.partition("://")[0]
-
-
 def picture_size(text: str) -> tuple[int, int]:
     """Width and height, as of 1280x720; raises InputError."""
     numbers = _SIZE.fullmatch(text)

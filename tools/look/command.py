@@ -20,7 +20,7 @@ from trigpoint.node.node import stop_on_signals
 from trigpoint.site.camera_info import read_camera_info
 from trigpoint.site.config import CameraConfig
 
-from .asked import chosen_target, picture_size, scheme_of, source_url
+from .asked import chosen_target, picture_size, source_url
 from .looking import Look, Result, Wishes
 from .shown import Shown
 
@@ -86,12 +86,12 @@ def main(
     It runs until the source's end, --seconds or Ctrl-C.
     """
     url = source_url(source)
-    source_class(scheme_of(url))
     width, height = picture_size(size)
     config = CameraConfig(url, width=width, height=height, rate=rate)
+    source_class(config.scheme)
     wishes = Wishes(
         config,
-        chosen_target(target, scheme_of(url)),
+        chosen_target(target, config.scheme),
         lens=None if intrinsics is None else read_camera_info(intrinsics),
         out=_out(out, is_known=intrinsics is not None, overwrite=overwrite),
         is_global=global_shutter,

@@ -22,7 +22,6 @@ from trigpoint.site.target import Target
 from trigpoint.tools.pictures.detect import LEAST_PICTURES, NOTHING_NEAR
 from trigpoint.tools.pictures.intrinsics import write_lens
 
-from .asked import scheme_of
 from .guidance import Guide
 from .seen import MOST_BEND, Seen, Watch
 from .shown import Shown, faces_of, facts_of, lens_of, wanted_of
@@ -82,7 +81,7 @@ class Look:
         self._wishes, self._tell = wishes, tell
         self._clock = clock or SteadyClock()
         self._stopping = threading.Event()
-        self._scheme = scheme_of(wishes.config.source)
+        self._scheme = wishes.config.scheme
         self._tracker = TargetTracker([wishes.target])
         self._watch = Watch()
         self._lens = KnownLens(wishes.target, wishes.lens)

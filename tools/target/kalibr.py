@@ -8,6 +8,7 @@ from ruamel.yaml import YAML, YAMLError
 
 from trigpoint.base.errors import TargetError, read_text
 from trigpoint.site.target import Face, Numbering, Pattern, Target
+from trigpoint.tools.shapes.text import target_text
 
 _HERE = {"translation": (0.0, 0.0, 0.0), "quaternion": (0.0, 0.0, 0.0, 1.0)}
 _EQUAL_SHARE = 1e-6
@@ -23,6 +24,18 @@ _KEYS = {
     ),
 }
 """Target type -> the keys that it needs, and those that it may have."""
+
+_HEADS = {
+    Pattern.APRILGRID: (
+        "square: from tag to tag; marker: a tag's side with its border; numbering: tags are",
+        "counted from the bottom left. translation and quaternion: base_from_face.",
+    ),
+    Pattern.CHECKERBOARD: (
+        "columns and rows are squares; Kalibr counts inner corners, and does not say which are",
+        "dark: write inverted = true where the square at the top left is white. translation and",
+        "quaternion: base_from_face.",
+    ),
+}
 
 
 def read_kalibr_target(path: Path) -> Target:
@@ -41,42 +54,10 @@ def read_kalibr_target(path: Path) -> Target:
     return Target(path.stem, (face,))
 
 
-def target_text(target: Target, source: str) -> str:
+def imported_text(target: Target, source: str) -> str:
     """target.toml of an imported target; `source`: the original file."""
     [face] = target.faces
-    lines = [
-        f'name = "{target.name}"  # from {source}',
-        "",
-        "[[faces]]",
-        f"id = {face.id}",
-        f'pattern = "{face.pattern.value}"',
-        *(_grid_lines(face) if face.pattern is Pattern.APRILGRID else _board_lines(face)),
-        "translation = [0.0, 0.0, 0.0]  # base_from_face, m",
-        "quaternion = [0.0, 0.0, 0.0, 1.0]",
-    ]
-    return "\n".join(lines) + "\n"
-
-
-def _grid_lines(face: Face) -> list[str]:
-    return [
-        f"columns = {face.columns}  # tags",
-        f"rows = {face.rows}",
-        f"square = {face.square!r}  # m, from tag to tag",
-        f"marker = {face.marker!r}  # m, a tag's side with its border",
-        f'dictionary = "{face.dictionary}"',
-        *([f"first_marker = {face.first_marker}"] if face.first_marker else []),
-        f"border_bits = {face.border_bits}",
-        f'numbering = "{face.numbering.value}"  # tags are counted from the bottom left',
-    ]
-
-
-def _board_lines(face: Face) -> list[str]:
-    return [
-        f"columns = {face.columns}  # squares; Kalibr counts inner corners",
-        f"rows = {face.rows}",
-        f"square = {face.square!r}  # m",
-        "inverted = false  # Kalibr does not say: true where the square at the top left is white",
-    ]
+    return target_text(target, head=(f"From {source}.", *_HEADS[face.pattern]))
 
 
 def _aprilgrid(document: dict[str, Any], path: Path) -> Face:
