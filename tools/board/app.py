@@ -49,7 +49,6 @@ _MOST_FORM = 4096
 
 
 def assets() -> dict[str, bytes]:
-    """The page's files, by name."""
     return packaged("trigpoint.tools.board", ASSETS)
 
 
@@ -69,7 +68,6 @@ class Board:
 
     @property
     def app(self) -> Starlette:
-        """The application."""
         routes = [
             Route("/", self._front),
             Route("/login", self._login, methods=["GET", "POST"]),

@@ -73,8 +73,6 @@ def main(
 
 
 class BoardService:
-    """Page and reader of one site, until it is stopped."""
-
     def __init__(self, site: Site, access: Access, *, is_operator: bool = False) -> None:
         self._site, self._access = site, access
         self._bus: Bus | None = None

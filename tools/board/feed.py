@@ -41,6 +41,5 @@ class Feed(Pages):
             return self.open(event(Whole(round(self.now_s, 2), dict(self._shown), ways)))
 
     def whole(self) -> Entities:
-        """What is shown now."""
         with self._lock:
             return dict(self._shown)

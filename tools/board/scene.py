@@ -44,7 +44,6 @@ class Scene:
         self._dirty = set(self._fields)
 
     def take(self, topic: Topic, name: str, message: Message, received_ns: int) -> None:
-        """Take in one message of a camera or robot of the site."""
         kind = topic.path.partition("/")[0]
         entity = f"{'robot' if kind == 'robot' else 'camera'}/{name}"
         if topic is topics.CORRECTION:

@@ -55,8 +55,6 @@ class CandidateSpec(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class CandidatesFile(Struct, frozen=True, forbid_unknown_fields=True):
-    """The whole file."""
-
     cameras: dict[str, CandidateSpec]
 
 

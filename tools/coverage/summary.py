@@ -37,7 +37,6 @@ def _text(each: AccuracyMap) -> str:
 
 
 def gains_text(gains: Sequence[Gain], within_m: float) -> str:
-    """A table of the candidates, best first."""
     head = ("one more camera", *(f"+ m² {class_name(w)}" for w in WITHIN_M))
     head += (f"+ m² {class_name(within_m)} where one fails",)
     rows = [

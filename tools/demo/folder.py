@@ -38,8 +38,6 @@ class DemoRecord(Struct, frozen=True):
 
 
 class DemoFolder:
-    """Paths of one demo."""
-
     def __init__(self, path: Path) -> None:
         self.path = path
         self.site, self.truth, self.log = path / "site.toml", path / "truth.json", path / "log"
@@ -109,7 +107,6 @@ class DemoFolder:
         self.write(record)
 
     def write(self, record: DemoRecord) -> None:
-        """Write down what is run."""
         part = self.path / f"{MARKER}.part"
         with writing(self.path):
             part.write_bytes(msgspec.json.format(msgspec.json.encode(record), indent=1) + b"\n")

@@ -34,7 +34,6 @@ def viewer_of(folder: DemoFolder) -> PartSpec:
 
 
 def tokens_of(world: World) -> set[str]:
-    """The liveliness tokens of a system that is up."""
     alive = [("recorder", "main"), ("fusion", "fusion")]
     alive += [("edge", camera) for camera in world.cameras]
     alive += [("robot", robot) for robot in world.robots]

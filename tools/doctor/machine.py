@@ -89,7 +89,6 @@ def _read_clock() -> tuple[int, int]:
 
 
 def check_disk(directory: Path) -> Check:
-    """Whether there is disk space for a recording."""
     existing = next(path for path in (directory, *directory.absolute().parents) if path.exists())
     free = free_bytes(existing)
     text = f"{free / _GIGABYTE:.1f} GB free in {existing.absolute()}"
@@ -118,7 +117,6 @@ def check_loopback(site: Site) -> Check:
 
 
 def _passes(one: Bus, other: Bus, *, timeout_s: float = 5.0) -> bool:
-    """Whether a sample gets from one session to the other."""
     key = ODOMETRY.key("doctor", "r1")
     subscription = other.subscribe(ODOMETRY, key)
     one.publisher(ODOMETRY, key).put(b"")

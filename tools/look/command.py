@@ -144,7 +144,6 @@ class _Teller:
         self._hints: set[str] = set()
 
     def show_on_page(self, stack: ExitStack, port: int) -> None:
-        """Serve the page until the stack is closed."""
         from .page import Moments, page_served  # --no-page needs no server
 
         self._moments = Moments()

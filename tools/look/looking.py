@@ -230,14 +230,12 @@ class Look:
         return Result(*counts, found, self._written, missing, hints)
 
     def _missing(self) -> str:
-        """Why there is no lens."""
         if not self._with_target:
             return "; ".join(self._tracker.misdescribed) or "the board was not seen"
         seen = f"the board was seen in {self._with_target} of {self._pictures} pictures"
         return f"{seen}; {self._taking.missing}"
 
     def _over(self, shown: Shown, missing: str) -> Shown:
-        """The last moment."""
         found = self._taking.found
         words = f"the lens is in {self._wishes.out}" if self._written else missing
         return replace(

@@ -72,7 +72,6 @@ def page_served(moments: Moments, port: int) -> Iterator[str]:
 
 
 def app_of(moments: Moments, guard: Guard) -> Starlette:
-    """The application."""
     files = packaged("trigpoint.tools.look", ASSETS)
 
     async def front(_: Request) -> Response:

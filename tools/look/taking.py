@@ -44,7 +44,6 @@ class LensTaking:
 
     @property
     def views(self) -> tuple[View, ...]:
-        """Those that are kept."""
         return self._store.views
 
     @property
@@ -55,14 +54,12 @@ class LensTaking:
 
     @property
     def missing(self) -> str:
-        """Why there is none."""
         if self.found is not None and self.found.doubts:
             return "; ".join(str(doubt) for doubt in self.found.doubts)
         return self.trouble or f"{len(self.views)} different views are too few for a lens"
 
     @property
     def is_working(self) -> bool:
-        """Whether a lens is being worked out."""
         return self._trial is not None
 
     def offer(self, faces: Sequence[FaceSighting], size: tuple[int, int]) -> None:

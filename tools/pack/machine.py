@@ -61,7 +61,6 @@ class Node:
         return f"{self.unit.name}{self.name}" if self.unit.name.endswith("@") else self.unit.name
 
     def extras(self, site: Site) -> tuple[str, ...]:
-        """What of the program is installed."""
         extras = _EXTRAS.get(self.role, (self.role.value,))
         if self.role is Role.CAMERA and site.camera(self.name).scheme in STREAMED:
             extras += ("streams",)

@@ -48,8 +48,6 @@ def _round_step(step: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Axes:
-    """A chart's two scales and its size in the drawing."""
-
     width: float
     height: float
     across: Scale

@@ -44,7 +44,6 @@ def section(title: str, *content: str) -> str:
 
 
 def note(words: str) -> str:
-    """A paragraph that explains."""
     return element("p", escape(words), class_="note")
 
 
@@ -64,7 +63,6 @@ def tiles(*shown: str) -> str:
 
 
 def tile(number: str, words: str, *, is_bad: bool = False) -> str:
-    """A number with what it means."""
     kind = "tile bad" if is_bad else "tile"
     return element("div", element("b", escape(number)), element("span", escape(words)), class_=kind)
 

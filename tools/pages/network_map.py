@@ -111,7 +111,6 @@ class NetworkMap:
         ]
 
     def _meanings(self, factor: int) -> Iterator[tuple[str, str]]:
-        """Each mark on the map, and what it means."""
         kinds = {way.kind: way.words for way in self.ways}
         for kind, words in kinds.items():
             yield polyline(np.array([[2.0, 7.0], [32.0, 7.0]]), class_=f"way {kind}"), words

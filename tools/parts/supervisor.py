@@ -49,7 +49,6 @@ class Part:
 
     @property
     def number(self) -> int:
-        """The process's id."""
         assert self._process is not None
         return self._process.pid
 
@@ -90,7 +89,6 @@ class Part:
         return self._process is not None and (self._process.poll() or 0) > 0
 
     def send(self, number: signal.Signals) -> None:
-        """Signal the process if it lives."""
         if self._process is not None:
             self._process.send_signal(number)
 

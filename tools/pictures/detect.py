@@ -98,8 +98,6 @@ def main(
 
 
 class _Sum:
-    """Totals over all pictures."""
-
     def __init__(self) -> None:
         self._pictures = self._with_faces = self._faces = 0
 

@@ -56,7 +56,6 @@ def _errors(found: Calibration) -> Array:
 
 
 def _framed(found: Calibration, label: str, *content: str) -> str:
-    """A drawing in the picture's frame."""
     height = _SIDE * found.camera.height / found.camera.width
     frame = element("rect", width=_SIDE, height=height, class_="picture-frame")
     return drawing(_SIDE, height, *content, frame, label=label)

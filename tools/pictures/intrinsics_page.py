@@ -18,7 +18,6 @@ from .intrinsics_drawing import coverage_drawing, field_drawing, scatter_drawing
 
 
 def intrinsics_page(found: Calibration, *, name: str, pictures: int) -> str:
-    """The whole page."""
     sigma = found.known.sigma[0]
     known = f" ± {rounded(sigma, sigma)}" if found.has_sigmas else ""
     return html_page(

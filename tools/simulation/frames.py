@@ -41,7 +41,6 @@ class SimulatedFrames:
 
     @property
     def intrinsics(self) -> CameraModel | None:
-        """The simulated lens."""
         return self._camera.model
 
     @property

@@ -46,11 +46,9 @@ class Truth:
         return {name: camera.model for name, camera in self.world.cameras.items()}
 
     def moved_ns(self, camera: str) -> list[int]:
-        """When a camera was moved."""
         return [EPOCH_NS + to_ns(move.at_s) for move in self.world.cameras[camera].moves]
 
     def lifted_ns(self, robot: str) -> list[int]:
-        """When a robot was lifted."""
         return [EPOCH_NS + to_ns(lift.at_s) for lift in self.world.robots[robot].lifts]
 
     def map_from_base(self, robot: str, stamps_ns: np.ndarray) -> Pose:

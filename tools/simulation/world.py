@@ -82,7 +82,6 @@ class World:
         return _pick(self.robots, name, "robot", self.name)
 
     def target(self, robot: str) -> Target:
-        """What a robot carries."""
         return self.robot(robot).target
 
     def map_from_base(self, robot: str, t_s: ArrayLike) -> Pose:
@@ -132,7 +131,6 @@ class World:
         return found
 
     def random(self, purpose: str, owner: str, index: int = 0) -> np.random.Generator:
-        """The random stream of a purpose."""
         names = [zlib.crc32(text.encode()) for text in (purpose, owner)]
         return np.random.default_rng([self.seed, *names, index])
 

@@ -113,7 +113,6 @@ def _absent(
 
 
 def _versions(nodes: list[NodeStatus]) -> dict[str, list[str]]:
-    """The running nodes by version; the most common version first."""
     found: dict[str, list[str]] = {}
     for node in nodes:
         if node.version and node.state != "gone":

@@ -101,7 +101,6 @@ def unit_files(folder: Path, site: Path, sessions: Path) -> dict[Path, str]:
 
 
 def service_user() -> str:
-    """The user that runs the nodes."""
     user = getpass.getuser()
     return SERVICE_USER if user == "root" else user
 

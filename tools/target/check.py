@@ -23,7 +23,6 @@ class Findings:
 
 
 def check_target(target: Target) -> Findings:
-    """Check every face and every pair of faces."""
     problems = [
         problem
         for face in target.faces

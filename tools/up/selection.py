@@ -94,8 +94,6 @@ def selected(
 
 
 class _Look:
-    """Looks at this machine, a part at a time."""
-
     def __init__(self, site: Site, exists: Callable[[Path], bool]) -> None:
         self._site, self._exists = site, exists
         self._connects = [one for one in site.bus.connect if not is_loopback(one)]

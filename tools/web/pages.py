@@ -15,7 +15,6 @@ class TooManyPagesError(OperationError):
 
 
 def event(message: object) -> bytes:
-    """A message as a server-sent event."""
     return b"data: " + msgspec.json.encode(message) + b"\n\n"
 
 
@@ -97,7 +96,6 @@ class Pages:
             self._pages.discard(page)
 
     def close(self) -> None:
-        """End every page."""
         with self._lock:
             self._is_closed = True
             for page in self._pages:

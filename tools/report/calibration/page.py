@@ -36,7 +36,6 @@ _OPEN_DISTANCES = 15
 
 
 def calibration_page(results: CalibrationResults) -> str:
-    """The whole page."""
     network = results.network
     return html_page(
         f"Trigpoint calibration of {network.site}",

@@ -121,7 +121,6 @@ def _sigma(value: float, form: str) -> str:
 
 
 def guidance_table(results: CalibrationResults) -> str:
-    """The next poses, in order."""
     head = ("", "robot", "x m", "y m", "heading<br>degrees", "seen by", "improves")
     head += ("from<br>cm", "to<br>cm")
     rows = []
@@ -166,7 +165,6 @@ def left_out_table(results: CalibrationResults) -> str:
 
 
 def distance_table(results: CalibrationResults) -> str:
-    """The distances between all cameras."""
     found = results.distances
     rows = (
         row((escape(f"{first} to {second}"), f"{metres:.4f}", f"{100 * sigma:.2f}"))

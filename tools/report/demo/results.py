@@ -62,7 +62,6 @@ class Track:
         return Track(t_s, np.stack([x, y], axis=-1), turned)
 
     def until(self, t_s: float) -> "Track":
-        """What was up to a moment."""
         kept = self.t_s <= t_s
         return Track(self.t_s[kept], self.places[kept], self.headings[kept])
 
@@ -120,8 +119,6 @@ class KeyCount:
 
 
 class Arrival(Enum):
-    """What became of the messages of some keys."""
-
     COMPLETE = "all"
     BROKEN = "NOT ALL"
     UNKNOWN = "a part began anew"
@@ -228,7 +225,6 @@ class DemoResults:
         return [self.counted(name, counts) for name, counts in groups.items()]
 
     def counted(self, path: str, counts: Sequence[KeyCount]) -> KindCount:
-        """The messages of keys of one kind, added up."""
         sent = [count.sent for count in counts if count.sent is not None]
         received = [min(count.received.values()) for count in counts if count.received]
         return KindCount(

@@ -22,8 +22,6 @@ _REACH = 2  # of the lens's blur, pixels
 
 
 class CameraRenderer:
-    """Takes one camera's pictures."""
-
     def __init__(self, world: World, camera: str, *, noise: bool = True) -> None:
         """`noise` False: without the sensor's noise, for tests of the geometry."""
         self._world = world

@@ -44,7 +44,6 @@ class Canvas:
 
     @property
     def corner(self) -> Array:
-        """The first pixel's u and v."""
         return np.array([self.region[1].start, self.region[0].start], dtype=float)
 
 
@@ -142,7 +141,6 @@ def _meet(texel_from_ray: Array, rays: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def _finer(pixels: slice) -> slice:
-    """The subpixels of pixels."""
     return slice(pixels.start * SUBPIXELS, pixels.stop * SUBPIXELS)
 
 
@@ -185,7 +183,6 @@ def _draw_mast(canvas: Canvas, camera_from_base: Pose, target: Target) -> None:
 
 
 def _draw_plate(canvas: Canvas, camera_from_base: Pose, face: Face) -> None:
-    """The thickness of the plate behind a sheet."""
     back = panel(face) + np.array([0, 0, 2 * HALF_THICKNESS])
     plate = camera_from_base @ face.base_from_face @ np.vstack([panel(face), back])
     _paint(canvas, plate, 170)

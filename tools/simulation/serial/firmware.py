@@ -122,8 +122,6 @@ class Journal:
 
 
 class SimulatedFirmware:
-    """One running robot."""
-
     def __init__(
         self, line: PseudoTerminal, speaker: Speaker, readings: Readings, journal: Journal
     ) -> None:
