@@ -147,8 +147,7 @@ def _check_camera(site: Site, name: str) -> list[Check]:
         return [*findings, check_extra("streams")]
     if missing_packages("edge"):
         return findings + shutter
-    from .boards import check_boards  # both need the edge extra
-    from .cameras import check_camera
+    from .cameras import check_boards, check_camera  # needs the edge extra
 
     return [*findings, *check_camera(site, name), *shutter, *check_boards(site, name)]
 

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import typer
 
-from trigpoint.base.clock import Clock, SystemClock, to_ns
+from trigpoint.base.clock import SystemClock, to_ns
 from trigpoint.base.ending import ENDING
 from trigpoint.base.errors import InputError, OperationError
 from trigpoint.base.words import counted
@@ -136,8 +136,8 @@ class _Teller:
     """Says what is seen: on the page five times a second, in the terminal every two seconds and
     whenever there is other advice."""
 
-    def __init__(self, *, is_json: bool, clock: Clock | None = None) -> None:
-        self._is_json, self._clock = is_json, clock or SystemClock()
+    def __init__(self, *, is_json: bool) -> None:
+        self._is_json, self._clock = is_json, SystemClock()
         self._moments = None
         self._said_ns = self._shown_ns = -_LINE_NS
         self._said: dict[str, str] = {}

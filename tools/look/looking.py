@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from msgspec.structs import replace
 
-from trigpoint.base.clock import Clock, SteadyClock, to_ns
+from trigpoint.base.clock import SteadyClock, to_ns
 from trigpoint.base.errors import InputError, OperationError
 from trigpoint.edge.image.picture import eight_bits
 from trigpoint.edge.lens.calibration import Calibration
@@ -77,9 +77,8 @@ Tell = Callable[[Shown, np.ndarray], None]
 class Look:
     """One source, looked at by `run` on one thread until its end or `stop`."""
 
-    def __init__(self, wishes: Wishes, tell: Tell, *, clock: Clock | None = None) -> None:
+    def __init__(self, wishes: Wishes, tell: Tell) -> None:
         self._wishes, self._tell = wishes, tell
-        self._clock = clock or SteadyClock()
         self._stopping = threading.Event()
         self._scheme = wishes.config.scheme
         self._tracker = TargetTracker([wishes.target])
@@ -117,7 +116,7 @@ class Look:
     @contextmanager
     def _opened(self) -> Iterator[FrameSource]:
         config = self._wishes.config
-        source = open_source(config.source, config, clock=self._clock, directory=Path())
+        source = open_source(config.source, config, clock=SteadyClock(), directory=Path())
         timer = threading.Timer(self._wishes.seconds or 0.0, self.stop)
         try:
             self._lens.hear(source.intrinsics)

@@ -64,10 +64,10 @@ def drawing(width: float, height: float, *content: str, label: str, **attributes
     )  # no xmlns: it stands in a page
 
 
-def ellipse_points(centre: Array, covariance: Array, sigmas: float, count: int = 48) -> Array:
-    """The outline of a 2 × 2 covariance at `sigmas` around a centre (2,); (count, 2)."""
+def ellipse_points(centre: Array, covariance: Array, sigmas: float) -> Array:
+    """The outline of a 2 × 2 covariance at `sigmas` around a centre (2,); (48, 2)."""
     values, vectors = np.linalg.eigh(covariance)
-    angles = np.linspace(0, 2 * np.pi, count, endpoint=False)
+    angles = np.linspace(0, 2 * np.pi, 48, endpoint=False)
     unit = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     return centre + sigmas * (unit * np.sqrt(np.maximum(values, 0))) @ vectors.T
 

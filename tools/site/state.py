@@ -1,11 +1,11 @@
 """Summarises what a site's nodes report about themselves."""
 
-import re
 import textwrap
 from collections.abc import Iterable
 
 from msgspec import Struct
 
+from trigpoint.base.words import numberless
 from trigpoint.contract.messages import DiagnosticStatus
 from trigpoint.contract.topics import SIGHTINGS, topic_of
 from trigpoint.node.health import LOST_SO_FAR
@@ -210,7 +210,7 @@ def notes(node: NodeStatus) -> list[str]:
     found = [rates, words, losses and f"lost: {losses}"]
     is_told = node.message == "running" or node.message.startswith(LOST_SO_FAR)
     found += ["" if is_told else node.message]
-    if _without_numbers(node.last_error) != _without_numbers(node.message):
+    if numberless(node.last_error) != numberless(node.message):
         found += [node.last_error and f"last error: {node.last_error}"]
     return [note for note in found if note]
 
@@ -229,8 +229,3 @@ def _by_topic(rates: dict[str, float]) -> dict[str, float]:
     if _FACES in sums:
         told |= {name for name in sums if name.endswith(f" {SIGHTINGS.name}")}
     return {name: rate for name, rate in sums.items() if name not in told}
-
-
-def _without_numbers(text: str) -> str:
-    """A text as it is however long its trouble has lasted."""
-    return re.sub(r"\d+", "", text)

@@ -13,9 +13,10 @@ from trigpoint.contract.messages import Odometry
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.geometry import Pose
 from trigpoint.recorder.session.recording import open_recording
-from trigpoint.tools.networks.bound import poses_at, session_bound
+from trigpoint.tools.networks.bound import session_bound
 from trigpoint.tools.networks.cramer_rao import Bound
 from trigpoint.tools.sessions.inputs import session_inputs
+from trigpoint.tools.simulation.motion.way import poses_at
 
 
 @pytest.fixture(scope="module")
