@@ -12,6 +12,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
 from support.builders import make_odometry, site_text
+from support.commands import Cli
 
 from trigpoint.cli import run
 from trigpoint.contract import cdr
@@ -161,10 +162,8 @@ def test_layouts_name_topics_that_are_there(exported: Path) -> None:
 
 
 def test_without_a_network_its_formats_are_refused(
-    session_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    session_file: Path, tmp_path: Path, cli: Cli
 ) -> None:
     words = ["export", str(session_file), "--out", str(tmp_path)]
-    assert run([*words, "--format", "kalibr"]) == 2
-    assert "trigpoint calibrate" in capsys.readouterr().err
-    assert run([*words, "--format", "word"]) == 2
-    assert "there is none such" in capsys.readouterr().err
+    assert "trigpoint calibrate" in cli.refused(*words, "--format", "kalibr")
+    assert "there is none such" in cli.refused(*words, "--format", "word")

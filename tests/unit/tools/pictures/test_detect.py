@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from support.commands import Cli
 from support.pictures.boards import (
     CAMERA,
     CHARUCO_TARGET,
@@ -168,7 +169,7 @@ def test_bad_target_is_one_line_and_status_2(
 
 
 def test_board_that_the_file_describes_the_wrong_way_round_is_named_once(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, cli: Cli
 ) -> None:
     picture = picture_of([placed(checkerboard(8, 6), yaw_deg=20)])
     for name in ("a.png", "b.png"):
@@ -178,9 +179,10 @@ def test_board_that_the_file_describes_the_wrong_way_round_is_named_once(
     target = tmp_path / "target.toml"
     target.write_text(f'name = "t"\n[[faces]]\nid = 0\n{face}{here}')
     words = [str(tmp_path / name) for name in ("a.png", "b.png")]
-    assert run(["detect", *words, "--target", str(target), "--json"]) == 0
-    said = capsys.readouterr()
+    said = cli("detect", *words, "--target", target, "--json")
     assert [json.loads(line)["faces"] for line in said.out.splitlines()] == [[], []]
     assert said.err.count("write columns = 8 and rows = 6") == 1
-    assert run(["intrinsics", *words, "--target", str(target)]) == 1
-    assert "write columns = 8 and rows = 6" in capsys.readouterr().err
+    assert (
+        "write columns = 8 and rows = 6"
+        in cli("intrinsics", *words, "--target", target, status=1).err
+    )

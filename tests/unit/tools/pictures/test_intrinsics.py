@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 from support.builders import site_text
+from support.commands import Cli
 from support.pictures.boards import CAMERA, CHARUCO_TARGET, charuco, picture_of, placed
 
 from trigpoint.cli import run
@@ -37,13 +38,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
-def test_lens_is_written_as_ros_reads_it_with_a_page_beside_it(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_lens_is_written_as_ros_reads_it_with_a_page_beside_it(folder: Path, cli: Cli) -> None:
     out = folder / "made" / "c1.yaml"
     words = ["intrinsics", str(folder / "shots"), "--target", str(folder / "target.toml")]
-    assert run([*words, "--out", str(out)]) == 0
-    said = capsys.readouterr().out
+    said = cli(*words, "--out", out).out
     assert "7 pictures, 7 views of the target" in said
     assert f"wrote {out}" in said
     found = read_camera_info(out)
@@ -56,10 +54,9 @@ def test_lens_is_written_as_ros_reads_it_with_a_page_beside_it(
     assert page.count('role="img"') == 3
 
 
-def test_json_tells_the_same_with_sigmas(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_json_tells_the_same_with_sigmas(folder: Path, cli: Cli) -> None:
     words = ["intrinsics", str(folder / "shots"), "--site", str(folder / "site.toml"), "--json"]
-    assert run(words) == 0
-    record = json.loads(capsys.readouterr().out)
+    record = json.loads(cli(*words).out)
     lens = record["intrinsics"]
     errors = (np.array(lens["k"])[[0, 4]] - [CAMERA.fx, CAMERA.fy]) / [
         lens["sigma"]["fx"],
@@ -83,14 +80,13 @@ def test_json_tells_the_same_with_sigmas(folder: Path, capsys: pytest.CaptureFix
 def test_bad_input_is_one_line_and_status_2(
     folder: Path,
     monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    cli: Cli,
     words: list[str],
     said: str,
 ) -> None:
     monkeypatch.chdir(folder)
     cv2.imwrite("other.png", np.zeros((20, 30), np.uint8))
-    assert run(["intrinsics", *words]) == 2
-    error = capsys.readouterr().err
+    error = cli.refused("intrinsics", *words)
     assert said in error
     assert len(error.splitlines()) == 1
 
@@ -147,10 +143,6 @@ def test_pictures_of_another_board_make_no_file(
     assert "no view of the target was found in 4 pictures" in said
 
 
-def test_several_jobs_find_the_same(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_several_jobs_find_the_same(folder: Path, cli: Cli) -> None:
     words = ["intrinsics", str(folder / "shots"), "--target", str(folder / "target.toml"), "--json"]
-    said = []
-    for jobs in ("1", "2"):
-        assert run([*words, "--jobs", jobs]) == 0
-        said.append(capsys.readouterr().out)
-    assert said[0] == said[1]
+    assert cli(*words, "--jobs", 1).out == cli(*words, "--jobs", 2).out

@@ -12,6 +12,7 @@ import zstandard
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from support.builders import make_odometry
+from support.commands import Cli
 from support.fusion.drives import Session, lab_plan, make_session, write_session
 from support.pictures.boards import (
     CAMERA,
@@ -116,29 +117,22 @@ def test_a_bags_pictures_are_searched_as_files_are(
 
 
 def test_which_topic_is_asked_for_where_there_are_several(
-    tmp_path: Path, target: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, target: Path, cli: Cli
 ) -> None:
     pictures = {"/a": [compressed(GREY)], "/b": [compressed(plain_picture())]}
     bag = write_bag(tmp_path / "bag", StoragePlugin.MCAP, pictures)
-    assert run(["detect", str(bag), "--target", str(target)]) == 2
-    assert "several topics with pictures (/a, /b)" in capsys.readouterr().err
-    assert run(["detect", str(bag), "--target", str(target), "--topic", "/c"]) == 2
-    assert "there is no topic /c" in capsys.readouterr().err
+    assert "several topics with pictures (/a, /b)" in cli.refused("detect", bag, "--target", target)
+    assert "there is no topic /c" in cli.refused("detect", bag, "--target", target, "--topic", "/c")
 
 
-def test_a_damaged_bag_is_one_line(
-    tmp_path: Path, target: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_damaged_bag_is_one_line(tmp_path: Path, target: Path, cli: Cli) -> None:
     (tmp_path / "x.mcap").write_bytes(b"\x89MCAP0\r\n and no more")
-    assert run(["detect", str(tmp_path / "x.mcap"), "--target", str(target)]) == 2
-    error = capsys.readouterr().err
+    error = cli.refused("detect", tmp_path / "x.mcap", "--target", target)
     assert error.count("\n") == 1
     assert "trigpoint check" in error
 
 
-def test_intrinsics_come_out_of_a_bag(
-    tmp_path: Path, target: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_intrinsics_come_out_of_a_bag(tmp_path: Path, target: Path, cli: Cli) -> None:
     tilts = [(-35, 0.7), (-20, 0.9), (0, 0.6), (15, 0.8), (25, 1.0), (40, 0.75)]
     views = [picture_of([placed(BOARD, distance=d, tilt_deg=t)]) for t, d in tilts]
     shots = tmp_path / "shots"
@@ -150,7 +144,7 @@ def test_intrinsics_come_out_of_a_bag(
     lenses = []
     for pictures in (shots, bag):
         out = tmp_path / f"{pictures.name}.yaml"
-        assert run(["intrinsics", str(pictures), "--target", str(target), "--out", str(out)]) == 0
+        cli("intrinsics", pictures, "--target", target, "--out", out)
         lenses.append(out.read_text().replace(pictures.name, ""))
     assert lenses[0] == lenses[1]
 
@@ -161,37 +155,31 @@ def drive() -> Session:
 
 
 def test_a_foreign_bag_is_calibrated_to_the_same_network(
-    drive: Session, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    drive: Session, tmp_path: Path, cli: Cli
 ) -> None:
     recorded = write_session(drive, tmp_path / "own")
-    assert run(["calibrate", str(recorded), "--json"]) == 0
-    expected = json.loads(capsys.readouterr().out)
+    expected = json.loads(cli("calibrate", recorded, "--json").out)
     bag, roles = _as_foreign(recorded, tmp_path / "bag")
     site = tmp_path / "site.toml"
     recording = open_recording(recorded)
     for name, data in recording.attachments.items():
         (tmp_path / name).write_bytes(data)
     words = [word for role in roles for word in ("--topic", role)]
-    assert run(["calibrate", str(bag), "--site", str(site), "--json", *words]) == 0
-    assert json.loads(capsys.readouterr().out) == expected
-    assert run(["calibrate", str(bag), *words]) == 2
-    assert "--site" in capsys.readouterr().err
+    assert json.loads(cli("calibrate", bag, "--site", site, "--json", *words).out) == expected
+    assert "--site" in cli.refused("calibrate", bag, *words)
 
 
 def test_a_packed_session_is_calibrated_as_it_was_before(
-    drive: Session, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    drive: Session, tmp_path: Path, cli: Cli
 ) -> None:
     file = next(write_session(drive, tmp_path / "own").glob("*.mcap"))
     packed = tmp_path / "packed" / "session.mcap.zstd"
     packed.parent.mkdir()
     packed.write_bytes(zstandard.compress(file.read_bytes()))
-    said = []
-    for session in (file, packed.parent):
-        assert run(["calibrate", str(session), "--json"]) == 0
-        said.append(capsys.readouterr().out)
-    assert said[0] == said[1]
+    expected = cli("calibrate", file, "--json").out
+    assert cli("calibrate", packed.parent, "--json").out == expected
     assert (packed.parent / "calibration").is_dir()
-    assert run(["review", str(packed.parent), "--save", str(tmp_path / "a.rrd")]) == 0
+    cli("review", packed.parent, "--save", tmp_path / "a.rrd")
 
 
 def _as_foreign(recorded: Path, path: Path) -> tuple[Path, list[str]]:

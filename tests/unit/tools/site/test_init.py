@@ -7,6 +7,7 @@ import msgspec
 import pytest
 from msgspec import Struct
 from support.builders import site_text
+from support.commands import Cli
 
 from trigpoint.cli import run
 from trigpoint.site import config
@@ -77,25 +78,22 @@ def test_targets_faces_look_ahead_left_and_right(tmp_path: Path) -> None:
     assert normals == [[1, 0, 0], [0, 1, 0], [0, -1, 0]]
 
 
-def test_files_that_exist_are_kept_unless_forced(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_files_that_exist_are_kept_unless_forced(tmp_path: Path, cli: Cli) -> None:
     kept = tmp_path / "target.toml"
     kept.write_text("mine")
-    assert run(["init", "--directory", str(tmp_path)]) == 2
-    assert "target.toml exists already; add --force" in capsys.readouterr().err
+    assert "target.toml exists already; add --force" in cli.refused("init", "--directory", tmp_path)
     assert kept.read_text() == "mine"
     assert not (tmp_path / "site.toml").exists()
-    assert run(["init", "--directory", str(tmp_path), "--force"]) == 0
+    cli("init", "--directory", tmp_path, "--force")
     assert load_target(kept).name == "box"
 
 
-def test_folder_that_cannot_be_made_is_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_folder_that_cannot_be_made_is_one_line(tmp_path: Path, cli: Cli) -> None:
     (tmp_path / "file").write_text("")
-    assert run(["init", "--directory", str(tmp_path / "file")]) == 1
-    assert "nothing can be written there" in capsys.readouterr().err
+    assert (
+        "nothing can be written there"
+        in cli("init", "--directory", tmp_path / "file", status=1).err
+    )
 
 
 def service_of(file: Path) -> dict[str, str]:
@@ -183,8 +181,7 @@ def test_camera_and_robot_that_are_said_stand_in_the_file(tmp_path: Path) -> Non
     ],
 )
 def test_camera_that_is_none_is_one_clear_line_and_no_file(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], message: str
+    tmp_path: Path, cli: Cli, words: list[str], message: str
 ) -> None:
-    assert run(["init", "--directory", str(tmp_path), *words]) == 2
-    assert message in capsys.readouterr().err
+    assert message in cli.refused("init", "--directory", tmp_path, *words)
     assert list(tmp_path.iterdir()) == []

@@ -7,6 +7,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from support.commands import Cli
 from support.fusion.drives import (
     CameraPlan,
     lab_cameras,
@@ -16,7 +17,6 @@ from support.fusion.drives import (
 )
 from support.pages import read_page
 
-from trigpoint.cli import run
 from trigpoint.fusion.estimators.residuals import CameraResiduals
 from trigpoint.fusion.guidance.suggestions import Suggestion
 from trigpoint.geometry import CameraModel, Pose
@@ -244,15 +244,15 @@ def test_covered_share_counts_the_fields_of_the_picture() -> None:
     assert covered_share(found, 640, 480) == pytest.approx(1 / 192)
 
 
-def test_calibrate_leaves_the_page_beside_the_network(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_calibrate_leaves_the_page_beside_the_network(tmp_path: Path, cli: Cli) -> None:
     cameras = lab_cameras()
     cameras["far"] = CameraPlan(looking_at((90.0, 0.0, 1.6), (95.0, 0.0, 0.6)))
     session = make_session(lab_plan(cameras=cameras, picture_rate=1.0))
     folder = write_session(session, tmp_path / "drive")
-    assert run(["calibrate", str(folder), "--out", str(tmp_path / "out")]) == 0
-    assert str(tmp_path / "out" / "report.html") in capsys.readouterr().out
+    assert (
+        str(tmp_path / "out" / "report.html")
+        in cli("calibrate", folder, "--out", tmp_path / "out").out
+    )
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     text = words(page)
     assert "3 of 4 cameras located" in text
