@@ -1,8 +1,15 @@
 """Commands as a user runs them, in this process, and what they say."""
 
+from typing import NamedTuple
+
 import pytest
 
 from trigpoint.cli import run
+
+
+class Said(NamedTuple):
+    out: str
+    err: str
 
 
 class Cli:
@@ -11,11 +18,11 @@ class Cli:
     def __init__(self, capsys: pytest.CaptureFixture[str]) -> None:
         self._capsys = capsys
 
-    def __call__(self, *words: object, status: int = 0) -> "pytest.CaptureResult[str]":
+    def __call__(self, *words: object, status: int = 0) -> Said:
         """What the command says; the test fails where it ends otherwise."""
         self._capsys.readouterr()
         ended = run([str(word) for word in words])
-        said = self._capsys.readouterr()
+        said = Said(*self._capsys.readouterr())
         assert ended == status, f"status {ended}: {said.err}"
         return said
 
