@@ -22,7 +22,8 @@ class Cli:
         """What the command says; the test fails where it ends otherwise."""
         self._capsys.readouterr()
         ended = run([str(word) for word in words])
-        said = Said(*self._capsys.readouterr())
+        out, err = self._capsys.readouterr()
+        said = Said(out, err)
         assert ended == status, f"status {ended}: {said.err}"
         return said
 
