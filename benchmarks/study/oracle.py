@@ -20,8 +20,9 @@ from trigpoint.fusion.model.problem import CameraState
 from trigpoint.fusion.pipeline import Inputs
 from trigpoint.geometry import Pose
 from trigpoint.tools.networks.cramer_rao import Bound, Oracle, cramer_rao
-from trigpoint.tools.simulation.in_memory import Simulated, Truth
 from trigpoint.tools.simulation.world import Shown
+
+from .in_memory import Simulated, Truth
 
 
 def bound_of(inputs: Inputs, session: Simulated) -> Bound:

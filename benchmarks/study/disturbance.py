@@ -13,11 +13,10 @@ from msgspec import structs
 from trigpoint.contract.messages import FaceSighting
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.site.target import Face, Target
-
-from .motion.actors import Lift, Move, SimulatedCamera, SimulatedRobot
-from .motion.odometry import chained, drawn_scales
-from .motion.way import Way, scattered
-from .world import Shown, World
+from trigpoint.tools.simulation.motion.actors import Lift, Move, SimulatedCamera, SimulatedRobot
+from trigpoint.tools.simulation.motion.odometry import chained, drawn_scales
+from trigpoint.tools.simulation.motion.way import Way, scattered
+from trigpoint.tools.simulation.world import Shown, World
 
 _MOST_DRAWS = 100
 

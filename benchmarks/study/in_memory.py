@@ -9,11 +9,11 @@ import numpy as np
 from trigpoint.base.clock import to_ns
 from trigpoint.contract.messages import Message, Odometry, Sightings
 from trigpoint.geometry import CameraModel, Pose
+from trigpoint.tools.simulation.session import EPOCH_NS
+from trigpoint.tools.simulation.sight.seen_corners import SeenFace, may_be_seen
+from trigpoint.tools.simulation.world import Shown, World
 
 from .disturbance import Disturbance, disturbed, disturbed_sighting, with_ways
-from .session import EPOCH_NS
-from .sight.seen_corners import SeenFace, may_be_seen
-from .world import Shown, World
 
 Views = dict[str, list[tuple[float, dict[str, list[SeenFace]]]]]
 """Of each camera: the times of its pictures and the faces of each robot in them, without noise."""
