@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.commands import Cli
-from support.fusion.drives import Session, lab_plan, make_session, offline, write_session
+from support.fusion.drives import Session, offline, write_session
 
 from trigpoint.cli import run
 from trigpoint.contract.messages import Message, Odometry, Sightings
@@ -16,16 +16,6 @@ from trigpoint.recorder.session.recording import open_recording
 from trigpoint.tools.calibrate.work import calibrated
 from trigpoint.tools.sessions.inputs import session_inputs
 from trigpoint.tools.shapes.text import target_text
-
-
-@pytest.fixture(scope="module")
-def session() -> Session:
-    return make_session(lab_plan(picture_rate=1.0))
-
-
-@pytest.fixture(scope="module")
-def recorded(session: Session, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_session(session, tmp_path_factory.mktemp("session"))
 
 
 @pytest.fixture(scope="module")
@@ -52,8 +42,8 @@ def test_session_gives_the_network_its_trajectories_and_a_table(
     assert len(stamps_ns) == 441
 
 
-def test_network_is_that_of_the_messages_themselves(session: Session, expected: bytes) -> None:
-    network, direct = decode_network(expected), offline(session).network
+def test_network_is_that_of_the_messages_themselves(drive: Session, expected: bytes) -> None:
+    network, direct = decode_network(expected), offline(drive).network
     assert network.map_id == direct.map_id
     for name, record in direct.cameras.items():
         mine = network.cameras[name].map_from_camera
@@ -65,9 +55,9 @@ def test_network_is_that_of_the_messages_themselves(session: Session, expected: 
 
 
 def test_results_lie_beside_the_session_where_nothing_else_is_said(
-    session: Session, tmp_path: Path, expected: bytes, cli: Cli
+    drive: Session, tmp_path: Path, expected: bytes, cli: Cli
 ) -> None:
-    folder = write_session(session, tmp_path / "drive")
+    folder = write_session(drive, tmp_path / "drive")
     (folder / "truth.json").unlink()
     said = cli("calibrate", folder / "session.mcap").out
     assert (folder / "calibration" / "network.json").read_bytes() == expected
@@ -83,12 +73,12 @@ def test_json_is_the_network_file_and_nothing_else(
 
 
 def test_site_file_is_used_instead_of_the_attached_one(
-    session: Session, recorded: Path, tmp_path: Path
+    drive: Session, recorded: Path, tmp_path: Path
 ) -> None:
-    site = session.inputs.site.text.replace('site = "lab"', 'site = "hall"')
+    site = drive.inputs.site.text.replace('site = "lab"', 'site = "hall"')
     site = site.replace("[cameras.c3]", "[cameras.c9]")
     (tmp_path / "site.toml").write_text(site)
-    (tmp_path / "r1.toml").write_text(target_text(session.inputs.targets["r1"]))
+    (tmp_path / "r1.toml").write_text(target_text(drive.inputs.targets["r1"]))
     out = tmp_path / "out"
     arguments = ["--site", str(tmp_path / "site.toml"), "--out", str(out)]
     assert run(["calibrate", str(recorded), *arguments]) == 0
@@ -144,11 +134,11 @@ def test_known_network_is_the_prior(recorded: Path, tmp_path: Path) -> None:
 
 
 def test_site_that_learns_nothing_is_refused(
-    recorded: Path, session: Session, tmp_path: Path, cli: Cli
+    recorded: Path, drive: Session, tmp_path: Path, cli: Cli
 ) -> None:
-    (tmp_path / "r1.toml").write_text(target_text(session.inputs.targets["r1"]))
+    (tmp_path / "r1.toml").write_text(target_text(drive.inputs.targets["r1"]))
     site = tmp_path / "site.toml"
-    site.write_text(session.inputs.site.text + "\n[fusion]\nlearn = false\n")
+    site.write_text(drive.inputs.site.text + "\n[fusion]\nlearn = false\n")
     said = cli.refused("calibrate", recorded, "--site", site)
     assert "learn = false: the site's network is fixed, and calibrate works one out" in said
 
@@ -189,14 +179,14 @@ def test_foreign_or_empty_file_is_named(tmp_path: Path, content: bytes, cli: Cli
 
 
 def test_truncated_session_is_used_as_far_as_it_goes(
-    session: Session, recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    drive: Session, recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     data = (recorded / "session.mcap").read_bytes()
     path = tmp_path / "session.mcap"
     path.write_bytes(data[: len(data) * 9 // 10])
     site = tmp_path / "site.toml"
-    site.write_text(session.inputs.site.text)
-    (tmp_path / "r1.toml").write_text(target_text(session.inputs.targets["r1"]))
+    site.write_text(drive.inputs.site.text)
+    (tmp_path / "r1.toml").write_text(target_text(drive.inputs.targets["r1"]))
     status = run(["calibrate", str(path), "--site", str(site), "--out", str(tmp_path / "out")])
     captured = capsys.readouterr()
     # One chunk of so short a drive: it is either read or said to hold nothing.
@@ -212,28 +202,28 @@ def only(session: Session, kind: type) -> Session:
     return replace(session, messages=messages)
 
 
-def test_session_without_odometry_is_refused(session: Session, tmp_path: Path, cli: Cli) -> None:
-    folder = write_session(only(session, Sightings), tmp_path)
+def test_session_without_odometry_is_refused(drive: Session, tmp_path: Path, cli: Cli) -> None:
+    folder = write_session(only(drive, Sightings), tmp_path)
     assert "no odometry of a robot is in it; record a drive" in cli.refused("calibrate", folder)
 
 
 def test_session_of_a_robot_that_the_site_file_lacks_is_refused(
-    session: Session, tmp_path: Path, cli: Cli
+    drive: Session, tmp_path: Path, cli: Cli
 ) -> None:
     named = tuple(
         ("cart" if isinstance(message, Odometry) else node, message)
-        for node, message in session.messages
+        for node, message in drive.messages
     )
-    folder = write_session(replace(session, messages=named), tmp_path)
+    folder = write_session(replace(drive, messages=named), tmp_path)
     assert "it is of robot cart, and the site file has only r1; use the same names" in cli.refused(
         "calibrate", folder
     )
 
 
 def test_session_without_sightings_has_unseen_cameras(
-    session: Session, tmp_path: Path, cli: Cli
+    drive: Session, tmp_path: Path, cli: Cli
 ) -> None:
-    folder = write_session(only(session, Odometry), tmp_path)
+    folder = write_session(only(drive, Odometry), tmp_path)
     assert cli("calibrate", folder).out.count("unseen") == 3
 
 
@@ -257,9 +247,9 @@ def _strange(node: str, message: Message) -> Message:
     return message
 
 
-def test_what_was_left_out_is_said(session: Session, tmp_path: Path, cli: Cli) -> None:
-    strange = tuple((n, _strange(n, m)) for n, m in session.messages)
-    folder = write_session(replace(session, messages=strange), tmp_path)
+def test_what_was_left_out_is_said(drive: Session, tmp_path: Path, cli: Cli) -> None:
+    strange = tuple((n, _strange(n, m)) for n, m in drive.messages)
+    folder = write_session(replace(drive, messages=strange), tmp_path)
     captured = cli("calibrate", folder)
     assert "wrong size" in captured.err
     assert "note: camera c3 sends pictures of 1280 × 480" in captured.err

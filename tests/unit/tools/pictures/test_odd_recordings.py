@@ -42,13 +42,6 @@ BAD = {
 }
 
 
-@pytest.fixture
-def target(tmp_path: Path) -> Path:
-    path = tmp_path / "target.toml"
-    path.write_text(CHARUCO_TARGET)
-    return path
-
-
 def write(
     file: Path,
     payloads: list[bytes],
