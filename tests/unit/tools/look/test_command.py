@@ -4,35 +4,26 @@ written."""
 import json
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 from support.commands import Cli, Said
-from support.pictures.boards import CAMERA, CHARUCO_TARGET, charuco, picture_of, placed
+from support.pictures.boards import (
+    CAMERA,
+    CHARUCO_TARGET,
+    charuco,
+    held_pictures,
+    picture_of,
+    placed,
+    write_pictures,
+)
 
 from trigpoint.site.camera_info import read_camera_info, write_camera_info
-
-PLACES = [
-    (-0.13, -0.1, 0.62, 30, 20),
-    (0.14, -0.09, 0.65, -35, 10),
-    (-0.12, 0.1, 0.6, 20, -35),
-    (0.12, 0.1, 0.64, -25, -25),
-    (0.0, 0.0, 0.5, 40, 0),
-    (0.02, 0.01, 0.5, 0, 42),
-    (-0.03, 0.0, 0.9, -40, 15),
-    (0.05, 0.05, 0.45, 10, -20),
-]
 
 
 @pytest.fixture(scope="module")
 def shots(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Pictures of a board, held in eight ways."""
-    made = tmp_path_factory.mktemp("shots")
-    for number, (x, y, distance, tilt, yaw) in enumerate(PLACES):
-        view = placed(charuco(), x=x, y=y, distance=distance, tilt_deg=tilt, yaw_deg=yaw)
-        picture = picture_of([view], noise=2.0, seed=number)
-        cv2.imwrite(str(made / f"{number}.png"), picture)
-    return made
+    return write_pictures(tmp_path_factory.mktemp("look") / "shots", held_pictures())
 
 
 @pytest.fixture(autouse=True)
@@ -107,11 +98,8 @@ def test_what_the_target_file_has_wrong_is_said_as_detect_says_it(
 ) -> None:
     wrong = CHARUCO_TARGET.replace("columns = 5", "columns = 4").replace("rows = 4", "rows = 5")
     (here / "target.toml").write_text(wrong)
-    hint = (
-        cli("detect", shots, "--target", "target.toml")
-        .err.splitlines()[0]
-        .removeprefix("target.toml: ")
-    )
+    said = cli("detect", shots, "--target", "target.toml").err
+    hint = said.splitlines()[0].removeprefix("target.toml: ")
     assert "write columns = 5 and rows = 4" in hint
     captured = look(cli, shots, status=1)
     assert hint in captured.out
@@ -119,10 +107,9 @@ def test_what_the_target_file_has_wrong_is_said_as_detect_says_it(
 
 
 def test_what_the_views_leave_open_is_said_and_nothing_is_written(here: Path, cli: Cli) -> None:
-    (here / "flat").mkdir()
-    for number in range(5):
-        view = placed(charuco(), x=-0.1 + 0.05 * number, distance=0.7)
-        cv2.imwrite(str(here / f"flat/{number}.png"), picture_of([view], noise=2.0, seed=number))
+    views = [placed(charuco(), x=-0.1 + 0.05 * number, distance=0.7) for number in range(5)]
+    pictures = (picture_of([view], noise=2.0, seed=n) for n, view in enumerate(views))
+    write_pictures(here / "flat", pictures)
     captured = look(cli, "flat", status=1)
     assert "focal length: the board was never tilted" in captured.err
     assert "tilt the board now: its " in captured.out
@@ -138,9 +125,7 @@ def test_an_endless_source_is_looked_at_for_so_long(here: Path, cli: Cli) -> Non
 
 
 def test_pictures_of_two_sizes_are_no_cameras(here: Path, cli: Cli) -> None:
-    (here / "mixed").mkdir()
-    for number, side in enumerate((64, 65)):
-        cv2.imwrite(str(here / f"mixed/{number}.png"), np.full((48, side), 99, np.uint8))
+    write_pictures(here / "mixed", (np.full((48, side), 99, np.uint8) for side in (64, 65)))
     assert "picture 2 is 65 × 48, those before were 64 × 48" in look(cli, "mixed", status=2).err
 
 
