@@ -99,44 +99,35 @@ def test_folder_that_does_not_exist_is_one_clear_line(file: Path, tmp_path: Path
     assert "cannot be written" in line
 
 
-def checked(path: Path, text: str, capsys: pytest.CaptureFixture[str]) -> str:
-    """What `target check` prints of a face with these lines, on something that is no terminal."""
+CHECKERBOARD = 'pattern = "checkerboard"\ncolumns = 5\nrows = 3\nsquare = 0.03\n'
+BOARD = "columns = {0}\nrows = {0}\nsquare = 0.03\nmarker = 0.02\n"
+
+
+@pytest.mark.parametrize(
+    ("face", "drawn"),
+    [
+        (CHECKERBOARD, "  ##  ##  ##\n    ##  ##  \n  ##  ##  ##\n"),
+        (CHECKERBOARD + "inverted = true\n", "    ##  ##  \n  ##  ##  ##\n    ##  ##  \n"),
+        # where OpenCV has its markers
+        (
+            f'pattern = "charuco"\n{BOARD.format(3)}dictionary = "DICT_4X4_50"\nfirst_marker = 7\n',
+            "  ## 7##\n   8## 9\n  ##10##\n",
+        ),
+        # Kalibr's, from the bottom left
+        (
+            f'pattern = "aprilgrid"\n{BOARD.format(2)}dictionary = "DICT_APRILTAG_36h11"\n'
+            'numbering = "kalibr"\n',
+            "##    ##    ##\n    [ 2]  [ 3]  \n",
+        ),
+    ],
+)
+def test_check_draws_a_board_as_it_is_printed(
+    tmp_path: Path, cli: Cli, face: str, drawn: str
+) -> None:
+    path = tmp_path / "t.toml"
     here = "translation = [0.0, 0.0, 0.0]\nquaternion = [0.0, 0.0, 0.0, 1.0]"
-    path.write_text(f'name = "t"\n[[faces]]\nid = 0\n{text}\n{here}\n')
-    assert run(["target", "check", str(path)]) == 0
-    return capsys.readouterr().out
-
-
-def test_check_draws_a_checkerboard_in_its_colours(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    board = 'pattern = "checkerboard"\ncolumns = 5\nrows = 3\nsquare = 0.03\n'
-    drawn = checked(tmp_path / "t.toml", board, capsys)
-    assert "  ##  ##  ##\n    ##  ##  \n  ##  ##  ##\n" in drawn
-    inverted = checked(tmp_path / "t.toml", board + "inverted = true", capsys)
-    assert "    ##  ##  \n  ##  ##  ##\n    ##  ##  \n" in inverted
-
-
-def test_check_draws_a_charuco_boards_markers_where_opencv_has_them(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    board = (
-        'pattern = "charuco"\ncolumns = 3\nrows = 3\nsquare = 0.03\nmarker = 0.02\n'
-        'dictionary = "DICT_4X4_50"\nfirst_marker = 7\n'
-    )
-    assert "  ## 7##\n   8## 9\n  ##10##\n" in checked(tmp_path / "t.toml", board, capsys)
-
-
-def test_check_draws_kalibrs_grid_from_the_bottom_left(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    grid = (
-        'pattern = "aprilgrid"\ncolumns = 2\nrows = 2\nsquare = 0.03\nmarker = 0.02\n'
-        'dictionary = "DICT_APRILTAG_36h11"\nnumbering = "kalibr"\n'
-    )
-    drawn = checked(tmp_path / "t.toml", grid, capsys)
-    assert "##    ##    ##\n    [ 2]  [ 3]  \n" in drawn
-    assert drawn.index("[ 2]") < drawn.index("[ 0]")
+    path.write_text(f'name = "t"\n[[faces]]\nid = 0\n{face}{here}\n')
+    assert drawn in cli("target", "check", path).out
 
 
 def test_check_draws_a_picture_of_each_face(file: Path, tmp_path: Path, cli: Cli) -> None:
