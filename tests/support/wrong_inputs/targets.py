@@ -3,19 +3,21 @@
 from collections.abc import Mapping
 from pathlib import Path
 
+import cv2
 import msgspec
 import numpy as np
-from support.pictures.boards import picture_of, placed, write_pictures
 
-from trigpoint.geometry import CameraModel
+from trigpoint.geometry.rotation import exp
 from trigpoint.site.target import Face, Pattern
 from trigpoint.tools.site.file import toml_value
+from trigpoint.tools.target.pattern import black_rectangles
 
 from .case import Case, Kind
 
 WIDTH, HEIGHT, FOCAL = 640, 480, 600.0
 SHOTS = 10
-_CAMERA = CameraModel(WIDTH, HEIGHT, FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2)
+_FINER, _TEXELS = 3, 84
+_DARK, _LIGHT, _GROUND = 30, 220, 120
 _CORNERS = r"face 0: \d+ corners"
 
 
@@ -46,20 +48,46 @@ def write_target(folder: Path, face: Face, **lengths: float) -> Path:
 
 def shots(face: Face, random: np.random.Generator, count: int = SHOTS) -> list[np.ndarray]:
     """Pictures of the whole board, (480, 640) uint8, from drawn places."""
-    return [_shot(face, random) for _ in range(count)]
-
-
-def _shot(face: Face, random: np.random.Generator) -> np.ndarray:
-    sheet = np.ptp(face.outline[:, :2], axis=0) + face.square
-    distance = FOCAL * float(np.max(sheet / (WIDTH, HEIGHT))) / random.uniform(0.6, 0.75)
-    tilt, yaw, turn = random.uniform(-1, 1, 3) * (23, 23, 9)
-    x, y = random.uniform(-30, 30, 2) * distance / FOCAL
-    view = placed(face, distance=distance, x=x, y=y, turn_deg=turn, tilt_deg=tilt, yaw_deg=yaw)
-    return picture_of([view], camera=_CAMERA, noise=1.5, seed=int(random.integers(1 << 32)))
+    sheet, places = _sheet(face)
+    return [_shot(sheet, places, random) for _ in range(count)]
 
 
 def write_shots(folder: Path, pictures: list[np.ndarray]) -> Path:
-    return write_pictures(folder / "pictures", pictures)
+    path = folder / "pictures"
+    path.mkdir()
+    for number, picture in enumerate(pictures):
+        cv2.imwrite(str(path / f"{number:02d}.png"), picture)
+    return path
+
+
+def _sheet(face: Face) -> tuple[np.ndarray, np.ndarray]:
+    """The print with a light margin of half a square, and its corners in the face frame, (4, 2)."""
+    margin, scale = face.square / 2, _TEXELS / face.square
+    low = face.outline.min(axis=0)[:2] - margin
+    high = face.outline.max(axis=0)[:2] + margin
+    columns, rows = np.rint((high - low) * scale).astype(int)
+    sheet = np.full((rows, columns), _LIGHT, np.uint8)
+    for x, y, width, height in black_rectangles(face):
+        left, top = np.rint((np.array([x, y]) - low) * scale).astype(int)
+        right, bottom = np.rint((np.array([x + width, y + height]) - low) * scale).astype(int)
+        sheet[top:bottom, left:right] = _DARK
+    return sheet, np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
+
+
+def _shot(sheet: np.ndarray, places: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    flat = np.column_stack([places - places.mean(axis=0), np.zeros(4)])
+    turned = flat @ exp(random.uniform(-1, 1, 3) * (0.4, 0.4, 0.15)).T
+    size = float(np.max(np.ptp(flat, axis=0)[:2] / (WIDTH, HEIGHT)))
+    turned[:, 2] += FOCAL * size / random.uniform(0.6, 0.75)
+    pixels = FOCAL * turned[:, :2] / turned[:, 2:] + random.uniform(-30, 30, 2)
+    pixels = _FINER * np.add(pixels, (WIDTH / 2, HEIGHT / 2))
+    rows, columns = sheet.shape
+    texels = np.array([[0, 0], [columns, 0], [columns, rows], [0, rows]], np.float32)
+    matrix = cv2.getPerspectiveTransform(texels, pixels.astype(np.float32))
+    size = (_FINER * WIDTH, _FINER * HEIGHT)
+    fine = cv2.warpPerspective(sheet, matrix, size, borderValue=(_GROUND,))
+    picture = cv2.resize(fine, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA)
+    return np.clip(picture + random.normal(0, 1.5, picture.shape), 0, 255).astype(np.uint8)
 
 
 def _detected(
