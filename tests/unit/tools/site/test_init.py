@@ -151,17 +151,13 @@ def test_recorder_may_write_where_the_site_file_says(tmp_path: Path) -> None:
     assert "ReadWritePaths" not in (tmp_path / "systemd" / "trigpoint-edge@.service").read_text()
 
 
-def test_units_are_written_for_a_site_that_exists_and_is_kept(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_units_are_written_for_a_site_that_exists_and_is_kept(tmp_path: Path, cli: Cli) -> None:
     site = tmp_path / "site.toml"
     site.write_text(site_text(cameras=2))
-    words = ["init", "--systemd", "--directory", str(tmp_path)]
-    assert run(words) == 0
+    words = ("init", "--systemd", "--directory", tmp_path)
+    assert "trigpoint-edge@c1 trigpoint-edge@c2 trigpoint-robot@r1" in cli(*words).out
     assert site.read_text() == site_text(cameras=2)
-    assert "trigpoint-edge@c1 trigpoint-edge@c2 trigpoint-robot@r1" in capsys.readouterr().out
-    assert run(words) == 2
-    assert "exists already; add --force" in capsys.readouterr().err
+    assert "exists already; add --force" in cli.refused(*words)
 
 
 def test_camera_and_robot_that_are_said_stand_in_the_file(tmp_path: Path) -> None:
