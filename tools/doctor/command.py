@@ -140,7 +140,7 @@ def _check_camera(site: Site, name: str) -> list[Check]:
     findings = [] if camera.intrinsics else [_no_lens(name)]
     shutter = [_shutter(name, camera)] if camera.scheme in _LIVE else []
     if camera.scheme == "v4l2" and camera.file is not None:
-        device = _check_device(f"camera {name}", _device(camera.file), "video")
+        device = _check_device(f"camera {name}", Path(camera.file), "video")
         if device.level != "ok":
             return [*findings, device, *shutter]
     if camera.scheme in STREAMED and missing_packages("streams"):
@@ -157,10 +157,6 @@ def _shutter(name: str, camera: CameraConfig) -> Check:
     if camera.line_delay:
         text = f"rolls over a picture in {1e3 * camera.readout_s:.1f} ms, stamped at the middle row"
     return Check(f"shutter of {name}", "ok", text)
-
-
-def _device(place: str) -> Path:
-    return Path(f"/dev/video{place}" if place.isdigit() else place)
 
 
 def _no_lens(name: str) -> Check:

@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 from trigpoint.base.errors import InputError
-from trigpoint.site.target import Face, Pattern, Target, load_target, parse_target
+from trigpoint.site.target import NOWHERE, Face, Pattern, Target, load_target, parse_target
 from trigpoint.tools.simulation.sight.targets import target_of
 from trigpoint.tools.site.file import first_target_text
 
@@ -76,9 +76,8 @@ def _counted_board(counts: str) -> Target:
             f"--target checkerboard:{counts}: give how many squares it has, like checkerboard:10x7"
         )
     columns, rows = map(int, numbers.groups())
-    here = {"translation": (0.0, 0.0, 0.0), "quaternion": (0.0, 0.0, 0.0, 1.0)}
     try:
-        face = Face(0, Pattern.CHECKERBOARD, columns, rows, _SQUARE, **here)
+        face = Face(0, Pattern.CHECKERBOARD, columns, rows, _SQUARE, *NOWHERE)
     except ValueError as reason:
         raise InputError(f"--target checkerboard:{counts}: {reason}") from None
     return Target("board", (face,))

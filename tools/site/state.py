@@ -130,13 +130,13 @@ def _node(status: DiagnosticStatus, is_alive: bool) -> NodeStatus:
         host=status.hardware_id,
         version=values.get("version", ""),
         contract=values.get("contract", ""),
-        uptime_s=_number(values.get("uptime", "")),
-        rates={name: _number(text) for name, text in _ending(values, ".rate")},
-        totals={name: int(_number(text)) for name, text in _ending(values, ".total")},
-        depths={name: int(_number(text)) for name, text in _ending(values, ".depth")},
-        losses={name: int(_number(text)) for name, text in _ending(values, ".lost")},
+        uptime_s=number_said(values.get("uptime", "")),
+        rates={name: number_said(text) for name, text in _ending(values, ".rate")},
+        totals={name: int(number_said(text)) for name, text in _ending(values, ".total")},
+        depths={name: int(number_said(text)) for name, text in _ending(values, ".depth")},
+        losses={name: int(number_said(text)) for name, text in _ending(values, ".lost")},
         gauges={
-            n: _number(text) for n, text in values.items() if _is_gauge(n) and _is_number(text)
+            n: number_said(text) for n, text in values.items() if _is_gauge(n) and _is_number(text)
         },
         words={n: text for n, text in values.items() if _is_gauge(n) and not _is_number(text)},
         last_error=values.get("last_error", ""),
@@ -161,12 +161,9 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _number(text: str) -> float:
+def number_said(text: str) -> float:
     """A number sent by another node; 0 if it is not a number."""
-    try:
-        value = float(text)
-    except ValueError:
-        return 0.0
+    value = float(text) if _is_number(text) else 0.0
     return value if abs(value) < 1e15 else 0.0
 
 

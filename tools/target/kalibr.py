@@ -7,10 +7,9 @@ from typing import Any
 from ruamel.yaml import YAML, YAMLError
 
 from trigpoint.base.errors import TargetError, read_text
-from trigpoint.site.target import Face, Numbering, Pattern, Target
+from trigpoint.site.target import NOWHERE, Face, Numbering, Pattern, Target
 from trigpoint.tools.shapes.text import target_text
 
-_HERE = {"translation": (0.0, 0.0, 0.0), "quaternion": (0.0, 0.0, 0.0, 1.0)}
 _EQUAL_SHARE = 1e-6
 # Kalibr's only family, with its borders of two cells.
 _DICTIONARY = "DICT_APRILTAG_36h11"
@@ -66,17 +65,17 @@ def _aprilgrid(document: dict[str, Any], path: Path) -> Face:
     if not isinstance(offset, int) or offset < 0:
         raise TargetError(f"{path}: codeOffset is «{offset}»; it must be a whole number from 0 on")
     return Face(
-        id=0,
-        pattern=Pattern.APRILGRID,
-        columns=_count(document, "tagCols", path),
-        rows=_count(document, "tagRows", path),
-        square=_metres(size * (1 + spacing)),
+        0,
+        Pattern.APRILGRID,
+        _count(document, "tagCols", path),
+        _count(document, "tagRows", path),
+        _metres(size * (1 + spacing)),
+        *NOWHERE,
         marker=size,
         dictionary=_DICTIONARY,
         first_marker=offset,
         border_bits=_BORDER_BITS,
         numbering=Numbering.KALIBR,
-        **_HERE,
     )
 
 
@@ -87,14 +86,9 @@ def _checkerboard(document: dict[str, Any], path: Path) -> Face:
             f"{path}: rowSpacingMeters is {down} and colSpacingMeters {along}; only square squares "
             "can be described: print another board"
         )
-    return Face(
-        id=0,
-        pattern=Pattern.CHECKERBOARD,
-        columns=_count(document, "targetCols", path) + 1,
-        rows=_count(document, "targetRows", path) + 1,
-        square=along,
-        **_HERE,
-    )
+    # Kalibr counts inner corners.
+    columns, rows = (_count(document, key, path) + 1 for key in ("targetCols", "targetRows"))
+    return Face(0, Pattern.CHECKERBOARD, columns, rows, along, *NOWHERE)
 
 
 def _document(path: Path) -> dict[str, Any]:

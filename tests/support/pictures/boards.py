@@ -9,11 +9,10 @@ import numpy as np
 
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array, exp
-from trigpoint.site.target import Face, Pattern, Target
+from trigpoint.site.target import NOWHERE, Face, Pattern, Target
 from trigpoint.tools.simulation.drawing.lens_grid import directions_on_grid
 
 CAMERA = CameraModel(640, 480, 540.0, 542.0, 322.0, 237.0, (-0.25, 0.06, 5e-4, -3e-4, 0.0))
-NOWHERE = {"translation": (0.0, 0.0, 0.0), "quaternion": (0.0, 0.0, 0.0, 1.0)}
 DARK, LIGHT, GROUND = 30.0, 215.0, 110.0
 _CELL_PX = 48
 _SUPERSAMPLING = 2
@@ -37,7 +36,7 @@ HELD = (
 
 def checkerboard(columns: int = 9, rows: int = 7, *, number: int = 0) -> Face:
     """A checkerboard of 3 cm squares."""
-    return Face(number, Pattern.CHECKERBOARD, columns, rows, 0.03, **NOWHERE)
+    return Face(number, Pattern.CHECKERBOARD, columns, rows, 0.03, *NOWHERE)
 
 
 CHARUCO_TARGET = """\
@@ -72,7 +71,7 @@ def charuco(
         columns,
         rows,
         0.06,
-        **NOWHERE,
+        *NOWHERE,
         marker=0.045,
         dictionary="DICT_4X4_250",
         first_marker=first,
@@ -91,7 +90,7 @@ def aprilgrid(
         columns,
         rows,
         0.08,
-        **NOWHERE,
+        *NOWHERE,
         marker=0.06,
         dictionary="DICT_APRILTAG_36h11",
         first_marker=first,

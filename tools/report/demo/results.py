@@ -1,6 +1,5 @@
 """What a run came to: the estimates beside the truth, in numbers. Pure."""
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum
@@ -205,8 +204,7 @@ class DemoResults:
     @property
     def distances(self) -> Distances:
         """Between all located cameras."""
-        pairs = itertools.combinations(self.network.located, 2)
-        return distances(self.network, self.covariance, pairs)
+        return distances(self.network, self.covariance)
 
     @property
     def distance_errors_m(self) -> Array:

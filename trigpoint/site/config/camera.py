@@ -62,7 +62,8 @@ class CameraConfig(Struct, frozen=True, forbid_unknown_fields=True):
         """The path on a machine that its source is, None where it is none."""
         if self.scheme not in ("v4l2", "dir", "file"):
             return None
-        return self.source.partition("://")[2].partition("?")[0]
+        place = self.source.partition("://")[2].partition("?")[0]
+        return f"/dev/video{place}" if self.scheme == "v4l2" and place.isdigit() else place
 
     @property
     def readout_s(self) -> float:

@@ -60,6 +60,11 @@ def test_machine_that_connects_elsewhere_has_its_devices_alone() -> None:
     assert "fusion fusion: it runs where tcp/10.0.0.1:7447 is" in found.left_out
 
 
+def test_camera_may_be_said_by_its_number() -> None:
+    text = 'site = "hall"\n[cameras.c1]\nsource = "v4l2://0"\n'
+    assert chosen(parse_site(text, directory=Path("/site")), HERE).cameras == ("c1",)
+
+
 def test_loopback_is_not_elsewhere() -> None:
     loaded = site('[bus]\nconnect = ["tcp/127.0.0.1:7447"]\n')
     assert chosen(loaded, HERE).has_fusion
