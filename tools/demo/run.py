@@ -13,7 +13,7 @@ import msgspec
 from trigpoint.base.clock import NANOSECONDS, to_ns
 from trigpoint.base.errors import OperationError
 from trigpoint.bus.bus import Bus
-from trigpoint.site.config import Site, parse_site
+from trigpoint.site.config import BusConfig, FusionConfig, RecorderConfig, Site
 from trigpoint.tools.parts.output import LogFile
 from trigpoint.tools.parts.specs import AGENTS, BRIDGES, FIRMWARE, FUSION, RECORDER
 from trigpoint.tools.parts.supervisor import Supervisor
@@ -172,5 +172,14 @@ def has_display() -> bool:
 def _meeting_site(name: str) -> Site:
     """The demo's own end of the bus: it listens on a port of this machine that the system picks,
     and every part is told of it."""
-    text = f'site = "{name}"\ncameras = {{}}\nbus.listen = ["{_MEETING_POINT}"]\n'
-    return parse_site(text, directory=Path())
+    bus = BusConfig(listen=(_MEETING_POINT,))
+    return Site(
+        name=name,
+        cameras={},
+        robots={},
+        bus=bus,
+        fusion=FusionConfig(),
+        recorder=RecorderConfig(),
+        directory=Path(),
+        text="",
+    )
