@@ -13,16 +13,14 @@ from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
 from support.builders import make_odometry, site_text
 from support.commands import Cli
+from support.fusion.networks import located
 
 from trigpoint.cli import run
 from trigpoint.contract import cdr
 from trigpoint.contract.topics import ODOMETRY
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.map.network import (
-    CameraRecord,
-    IntrinsicsRecord,
     Network,
-    PoseRecord,
     Statistics,
     decode_tum,
     encode_network,
@@ -37,16 +35,7 @@ POSES = {"c1": Pose.planar(1.0, 2.0, 0.3), "c2": Pose.planar(-1.0, 0.5, -1.2)}
 
 
 def network() -> Network:
-    intrinsics = IntrinsicsRecord.of(LENS, np.zeros(len(LENS.parameters)))
-    cameras = {
-        name: CameraRecord(
-            "located",
-            map_from_camera=PoseRecord.of(pose),
-            covariance=tuple(np.eye(6).reshape(-1).tolist()),
-            intrinsics=intrinsics,
-        )
-        for name, pose in POSES.items()
-    }
+    cameras = {name: located(pose, np.eye(6), lens=LENS) for name, pose in POSES.items()}
     return Network("lab", "id", "smoother", cameras, {}, Statistics(None, 0))
 
 

@@ -9,14 +9,12 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 from support.commands import Cli
+from support.fusion.networks import located
 
 from trigpoint.cli import run
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.map.network import (
-    CameraRecord,
-    IntrinsicsRecord,
     Network,
-    PoseRecord,
     RobotRecord,
     Statistics,
     TargetRecord,
@@ -46,22 +44,14 @@ horizontal_fov = 60.0
 """
 
 
-def record(index: int, place: tuple[float, float, float], yaw: float, joint: np.ndarray):
-    block = joint[6 * index : 6 * index + 6, 6 * index : 6 * index + 6]
-    return CameraRecord(
-        "located",
-        map_from_camera=PoseRecord.of(Pose(looking(yaw, 35.0, 0.0), np.array(place))),
-        covariance=tuple(block.reshape(-1).tolist()),
-        intrinsics=IntrinsicsRecord.of(LENS, np.zeros(9)),
-        sightings=9,
-        reprojection_rms=0.15,
-    )
-
-
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     joint = np.diag([4e-6, 4e-6, 4e-6, 1e-7, 1e-7, 1e-7] * 2)
-    cameras = {n: record(i, *at, joint) for i, (n, at) in enumerate(PLACES.items())}
+    known = {"lens": LENS, "sightings": 9, "reprojection_rms": 0.15}
+    cameras = {
+        name: located(Pose(looking(yaw, 35.0, 0.0), np.array(place)), joint, index, **known)
+        for index, (name, (place, yaw)) in enumerate(PLACES.items())
+    }
     robot = RobotRecord("r1.tum", 1.0, 1.0, None, TargetRecord(()))
     network = Network("lab", "uuid", "smoother", cameras, {"r1": robot}, Statistics(1.0, 3))
     stamps = np.arange(30) * 10**8

@@ -6,6 +6,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from support.fusion.networks import located
 
 from trigpoint.base.clock import to_ns
 from trigpoint.contract.cdr import encode
@@ -88,12 +89,7 @@ def write_network(folder: Path, world: World) -> None:
     """c1 is found 3 mm too high with a sigma of 2 mm; nothing of the others."""
     found = world.camera("c1").map_from_camera.disturbed([0, 0, 0.003, 0, 0, 0])
     covariance = np.diag([4e-6] * 3 + [1e-6] * 3)
-    c1 = CameraRecord(
-        "located",
-        map_from_camera=PoseRecord.of(found),
-        covariance=tuple(covariance.reshape(-1).tolist()),
-        sightings=40,
-    )
+    c1 = located(found, covariance, sightings=40)
     cameras = {name: CameraRecord("unseen") for name in world.cameras} | {"c1": c1}
     robot = RobotRecord("r1.tum", 1.0, 1.0, None, TargetRecord(()))
     network = Network("lab", "", "smoother", cameras, {"r1": robot}, Statistics(1.0, 3))

@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.commands import Cli
+from support.fusion.networks import located
 
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import exp
-from trigpoint.map.network import CameraRecord, Network, PoseRecord, Statistics, encode_network
+from trigpoint.map.network import Network, Statistics, encode_network
 from trigpoint.tools.networks.changes import changes
 
 SIGMA_M, SIGMA_RAD = 0.005, 0.002
@@ -30,11 +31,7 @@ def drawn(
         true = new_map @ Pose(exp(np.array([1.9, angle, 0.1])), place)
         error = random.normal(size=6) * np.sqrt(np.diagonal(covariance))
         pose = Pose(exp(error[3:]) @ true.rotation, true.translation + error[:3])
-        cameras[name] = CameraRecord(
-            "located",
-            map_from_camera=PoseRecord.of(pose),
-            covariance=tuple(covariance.reshape(-1).tolist()),
-        )
+        cameras[name] = located(pose, covariance)
     return Network("lab", "id", "smoother", cameras, {}, Statistics(None, 0))
 
 

@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.commands import Cli
+from support.fusion.networks import located
 
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
-from trigpoint.map.network import CameraRecord, Network, PoseRecord, Statistics, save_network
+from trigpoint.map.network import CameraRecord, Network, Statistics, save_network
 from trigpoint.tools.networks.distances import Measured, compare, distances
 
 PLACES = {
@@ -27,12 +28,10 @@ def joint() -> Array:
 
 
 def make_network(places: dict[str, list[float]] = PLACES) -> Network:
-    cameras = {}
-    for index, (name, place) in enumerate(places.items()):
-        block = joint()[6 * index : 6 * index + 6, 6 * index : 6 * index + 6]
-        pose = PoseRecord.of(Pose(np.eye(3), np.array(place)))
-        covariance = tuple(block.reshape(-1).tolist())
-        cameras[name] = CameraRecord("located", map_from_camera=pose, covariance=covariance)
+    cameras = {
+        name: located(Pose(np.eye(3), np.array(place)), joint(), index)
+        for index, (name, place) in enumerate(places.items())
+    }
     cameras["cellar"] = CameraRecord("undetermined", undetermined=("height",))
     return Network("lab", "uuid", "smoother", cameras, {}, Statistics(1.0, 3))
 

@@ -15,6 +15,7 @@ from support.fusion.drives import (
     make_session,
     write_session,
 )
+from support.fusion.networks import located as made_located
 from support.pages import read_page
 
 from trigpoint.fusion.estimators.residuals import CameraResiduals
@@ -51,10 +52,9 @@ def words(page: str) -> str:
 def located(place: tuple[float, float, float] = (2.0, 0.0, 1.6), sigma: float = 0.02):
     pose = Pose(EYE.rotation, np.array(place))
     covariance = np.diag([sigma**2 / 3] * 3 + [1e-4] * 3)
-    return CameraRecord(
-        "located",
-        map_from_camera=PoseRecord.of(pose),
-        covariance=tuple(covariance.reshape(-1).tolist()),
+    return made_located(
+        pose,
+        covariance,
         intrinsics=IntrinsicsRecord.of(LENS, np.array([1.5, 1.6, 0.7, 0.8, 0.01, 0.02, 0, 0, 0])),
         sightings=12,
         rejected=2,
