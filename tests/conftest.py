@@ -9,7 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import pytest
@@ -70,6 +70,13 @@ def process_is_put_back(no_thread_is_left: None) -> Iterator[None]:
     root.handlers[:] = log[0]
     root.setLevel(log[1])
     ours.setLevel(log[2])
+
+
+@pytest.fixture
+def stack() -> Iterator[ExitStack]:
+    """What is entered in it is left at the test's end."""
+    with ExitStack() as stack:
+        yield stack
 
 
 @pytest.fixture
