@@ -119,7 +119,6 @@ class Supervisor(Closing):
         self.parts = [Part(spec, output(spec.name)) for spec in specs]
         self._say = say
         self._stop_s = STOP_S if stop_s is None else stop_s
-        self.killed: list[str] = []
 
     def __enter__(self) -> Self:
         try:
@@ -200,7 +199,6 @@ class Supervisor(Closing):
             if not part.wait(deadline_s):
                 part.send(signal.SIGKILL)
                 part.wait(time.monotonic() + STOP_S)
-                self.killed.append(part.spec.name)
                 self._say(f"{part.spec.name} did not stop in {self._stop_s:.0f} s and was killed")
 
     def _kill(self) -> None:
