@@ -88,6 +88,11 @@ class Key:
         """Lost without the subscriber having been told."""
         return max(0, self.lost - self.counted)
 
+    @property
+    def last(self) -> int:
+        """The latest message that came, -1 where none did."""
+        return max(self.numbers, default=-1)
+
     def quantile_s(self, share: float) -> float:
         """Of the latencies from put to the subscriber's queue."""
         if not self.rows:
