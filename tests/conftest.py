@@ -9,11 +9,12 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
+from support.commands import Cli
 
 from trigpoint.base.ending import ENDING
 
@@ -69,6 +70,19 @@ def process_is_put_back(no_thread_is_left: None) -> Iterator[None]:
     root.handlers[:] = log[0]
     root.setLevel(log[1])
     ours.setLevel(log[2])
+
+
+@pytest.fixture
+def stack() -> Iterator[ExitStack]:
+    """What is entered in it is left at the test's end."""
+    with ExitStack() as stack:
+        yield stack
+
+
+@pytest.fixture
+def cli(capsys: pytest.CaptureFixture[str]) -> Cli:
+    """Runs a command, and tells what it says."""
+    return Cli(capsys)
 
 
 @pytest.fixture

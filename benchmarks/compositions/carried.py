@@ -5,7 +5,7 @@ from functools import cache, partial
 import numpy as np
 from msgspec import structs
 
-from trigpoint.site.target import Face, Pattern, Target
+from trigpoint.site.target import NOWHERE, Face, Pattern, Target
 from trigpoint.tools.shapes.bodies import (
     HALF_THICKNESS,
     INNER_EDGE,
@@ -26,8 +26,7 @@ def _face(
     dictionary: str | None = None,
 ) -> Face:
     """Such a face, wherever it is."""
-    here = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
-    return Face(0, pattern, columns, rows, square, *here, marker=marker, dictionary=dictionary)
+    return Face(0, pattern, columns, rows, square, *NOWHERE, marker=marker, dictionary=dictionary)
 
 
 _checkerboard = partial(_face, Pattern.CHECKERBOARD)

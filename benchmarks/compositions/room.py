@@ -4,11 +4,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from benchmarks.study.disturbance import maps_one_to_one
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.camera import LensModel
 from trigpoint.geometry.rotation import exp
 from trigpoint.testing.views import looking_at
-from trigpoint.tools.simulation.disturbance import maps_one_to_one
 
 from .recipe import Recipe, Room
 

@@ -6,10 +6,10 @@ from operator import itemgetter
 
 import numpy as np
 
+from benchmarks.study.disturbance import mounted
 from trigpoint.base.clock import to_ns
 from trigpoint.contract.messages import CameraInfo, Message, Odometry, Sightings
 from trigpoint.geometry import Pose
-from trigpoint.tools.simulation.disturbance import mounted
 
 from .carried import target_of
 from .recipe import Recipe, drawn

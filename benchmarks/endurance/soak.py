@@ -31,7 +31,7 @@ from benchmarks.timing import family, resident_mb
 from trigpoint.contract.access import Kind
 from trigpoint.site.config import BusConfig, TlsConfig
 from trigpoint.tools.parts.output import LogFile
-from trigpoint.tools.parts.specs import FUSION, RECORDER, agent, bridge, firmware, trigpoint
+from trigpoint.tools.parts.specs import FUSION, firmware, nodes, trigpoint
 from trigpoint.tools.parts.supervisor import Part, PartSpec, Supervisor
 from trigpoint.tools.simulation.site_files import robot_port, write_site
 from trigpoint.tools.simulation.world import World, load_world
@@ -141,19 +141,20 @@ class Soak:
         def site(name: str) -> str:
             return str(self.folder / f"{name}.toml")
 
-        out = ("--out", str(self.folder / "session"))
+        out = str(self.folder / "session")
         link, journal = self.folder / robot_port("r1"), self.folder / "r1.jsonl"
         of_world = {"world": "lab", "seed": 1, "target": "charuco", "log": journal}
         router = trigpoint("router", "--site", site("router"), "--name", "hall")
-        fusion = trigpoint("fusion", "--site", site("server"), *out)
-        recorder = trigpoint("record", "--site", site("server"), *out)
+        recorder, fusion = nodes(site("server"), cameras=(), robots=(), agents=1, out=out)
+        *_, edge = nodes(site("cameras"), cameras=_CAMERAS, robots=(), agents=1)
+        *_, robot = nodes(site("robot"), cameras=(), robots=("r1",), agents=1)
         specs = {
             "router": ("server", PartSpec("router", router, FUSION + 1)),
-            "fusion": ("server", PartSpec("fusion", fusion, FUSION)),
-            "recorder": ("server", PartSpec("recorder", recorder, RECORDER)),
+            "fusion": ("server", fusion),
+            "recorder": ("server", recorder),
             "firmware": ("robot", firmware("r1", epoch_ns=self.epoch_ns, link=link, **of_world)),
-            "edge": ("cameras", agent(_CAMERAS, site("cameras"))),
-            "robot": ("robot", bridge("r1", site("robot"))),
+            "edge": ("cameras", edge),
+            "robot": ("robot", robot),
         }
         spaces = {"server": self._segments.router, **self._segments.spaces}
         inside = []

@@ -1,11 +1,11 @@
 """A hall without inner walls, whose cameras see the same floor from several sides, and a robot that
 drives through all of it; and its network as `calibrate` finds it."""
 
+from benchmarks.study.disturbance import Disturbance
+from benchmarks.study.in_memory import simulated
 from benchmarks.study.session import fed, plain_inputs
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.model.inputs import Inputs
-from trigpoint.tools.simulation.disturbance import Disturbance
-from trigpoint.tools.simulation.in_memory import simulated
 from trigpoint.tools.simulation.world import World
 from trigpoint.tools.simulation.world_file import CameraSpec, RobotSpec, TargetChoice, WorldFile
 

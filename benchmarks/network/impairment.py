@@ -16,6 +16,7 @@ import subprocess
 import threading
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 from trigpoint.base.closing import Closing
@@ -115,7 +116,6 @@ class Link(Closing):
         seed: int = 0,
     ) -> None:
         self.impairment, self.is_up = impairment, True
-        self.lost = self.passed = 0
         self._random = random.Random(seed)
         name = f"tp{addresses[0].replace('.', '')[-10:]}"
         self._tuns = [end.tun(name) for end in ends]
@@ -153,23 +153,16 @@ class Link(Closing):
             limits = self.impairment
             begins_s = max(now_s, way.free_s)
             is_lost = self._random.random() < limits.loss or begins_s - now_s > limits.queue_s
-            if not self.is_up or is_lost:
-                self.lost += 1
-                continue
-            way.free_s = begins_s + 8 * len(packet) / limits.bits_per_s
-            heapq.heappush(way.waiting, (way.free_s + limits.delay_s, number, packet))
+            if self.is_up and not is_lost:
+                way.free_s = begins_s + 8 * len(packet) / limits.bits_per_s
+                heapq.heappush(way.waiting, (way.free_s + limits.delay_s, number, packet))
 
     def _deliver(self, way: _Direction, now_s: float) -> None:
         while way.waiting and way.waiting[0][0] <= now_s:
             _, _, packet = heapq.heappop(way.waiting)
-            if not self.is_up:
-                self.lost += 1
-                continue
-            try:
-                os.write(way.sink, packet)
-                self.passed += 1
-            except OSError:
-                self.lost += 1
+            if self.is_up:
+                with suppress(OSError):
+                    os.write(way.sink, packet)
 
     def close(self) -> None:
         self._stopping.set()

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 import cv2
 import numpy as np
 
-from trigpoint.site.target import Face, Pattern
+from trigpoint.site.target import NOWHERE, Face, Pattern
 
 WIDTH, HEIGHT = 640, 480
 # Kalibr's own: 6 x 6 tags.
@@ -17,8 +17,7 @@ APRILGRID = Face(
     6,
     6,
     0.0715,
-    (0.0, 0.0, 0.0),
-    (0.0, 0.0, 0.0, 1.0),
+    *NOWHERE,
     marker=0.055,
     dictionary="DICT_APRILTAG_36h11",
     border_bits=2,

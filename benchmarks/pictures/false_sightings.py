@@ -14,7 +14,7 @@ import typer
 
 from benchmarks.timing import worked
 from trigpoint.edge.detector import detector_for
-from trigpoint.site.target import Face, Pattern, Target
+from trigpoint.site.target import NOWHERE, Face, Pattern, Target
 
 from .detection import one_thread
 from .empty import APRILGRID, empty_pictures
@@ -24,7 +24,6 @@ from .views import gallery
 # Small ones are found by chance most easily.
 _SIZES = ((4, 3), (5, 4), (7, 4), (8, 5), (9, 7), (10, 7), (18, 8))
 _SCALES, _TURNS_DEG = (0.5, 1.0, 2.0), (0.0, 30.0)
-_HERE = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 
 
 def scenes() -> Iterator[tuple[str, np.ndarray]]:
@@ -70,7 +69,7 @@ def main(
     lab["aprilgrid"] = Target("sheet", (APRILGRID,))
     boards = {
         f"checkerboard {columns} x {rows}": Target(
-            "sheet", (Face(0, Pattern.CHECKERBOARD, columns, rows, 0.03, *_HERE),)
+            "sheet", (Face(0, Pattern.CHECKERBOARD, columns, rows, 0.03, *NOWHERE),)
         )
         for columns, rows in _SIZES
     }

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from trigpoint.geometry.rotation import Array
-from trigpoint.site.target import Face, Pattern, Target
+from trigpoint.site.target import NOWHERE, Face, Pattern, Target
 from trigpoint.tools.simulation.drawing.textures import texture
 from trigpoint.tools.simulation.sight.seen_corners import smallest_square
 
@@ -19,10 +19,11 @@ from .views import LEAST_SQUARE_PX, TrueFace, View
 from .world_lenses import WorldLens
 
 _Random = np.random.Generator
-_HERE = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 FACES = {
-    "checkerboard": Face(0, Pattern.CHECKERBOARD, 10, 7, 0.03, *_HERE),
-    "charuco": Face(0, Pattern.CHARUCO, 7, 5, 0.04, *_HERE, marker=0.03, dictionary="DICT_4X4_50"),
+    "checkerboard": Face(0, Pattern.CHECKERBOARD, 10, 7, 0.03, *NOWHERE),
+    "charuco": Face(
+        0, Pattern.CHARUCO, 7, 5, 0.04, *NOWHERE, marker=0.03, dictionary="DICT_4X4_50"
+    ),
 }
 # Rays along each side of a pixel.
 _FINE = 3

@@ -20,8 +20,9 @@ from trigpoint.fusion.model.problem import CameraState
 from trigpoint.fusion.pipeline import Inputs
 from trigpoint.geometry import Pose
 from trigpoint.tools.networks.cramer_rao import Bound, Oracle, cramer_rao
-from trigpoint.tools.simulation.in_memory import Simulated, Truth
-from trigpoint.tools.simulation.wrong_sightings import Labelled
+from trigpoint.tools.simulation.world import Shown
+
+from .in_memory import Simulated, Truth
 
 
 def bound_of(inputs: Inputs, session: Simulated) -> Bound:
@@ -118,7 +119,7 @@ def _as_it_hung(truth: Truth, camera: str, true_ns: int) -> str:
     return camera if k == len(moved_ns) else f"{camera}@{k}"
 
 
-def _observation(data: DataSet, name: str, stamp_ns: int, shown: list[Labelled]) -> Observation:
+def _observation(data: DataSet, name: str, stamp_ns: int, shown: list[Shown]) -> Observation:
     """What a camera saw of one robot, under the name of where it hung."""
     target, camera = data.targets[shown[0].robot], data.site.cameras[name]
     views, readings, outliers = [], [], []

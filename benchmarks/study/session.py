@@ -24,11 +24,11 @@ from trigpoint.site.config import (
     Site,
 )
 from trigpoint.tools.networks.cramer_rao import Bound
-from trigpoint.tools.simulation.in_memory import Simulated, simulated
 from trigpoint.tools.simulation.world import World
 
 from .decidable_lifts import left_open
 from .decidable_robots import left_open_by_robots
+from .in_memory import Simulated, simulated
 from .oracle import bound_of, known_to_oracle
 from .situation import Known, Situation
 from .situations import NEW_CAMERA, SITUATIONS

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Literal
 
-from trigpoint.tools.simulation.disturbance import Disturbance
+from .disturbance import Disturbance
 
 
 class Known(Enum):

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from trigpoint.tools.simulation.disturbance import Disturbance, LensSpread
 from trigpoint.tools.simulation.motion.actors import Lift, Move
 
+from .disturbance import Disturbance, LensSpread
 from .situation import PLAIN, Known, Situation
 
 NEW_CAMERA = "c5"

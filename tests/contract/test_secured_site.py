@@ -4,7 +4,7 @@ import json
 import logging
 import shutil
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import replace
@@ -40,12 +40,6 @@ FUSION, CAMERA, ROBOT = (Kind.FUSION, "fusion"), (Kind.CAMERA, "c1"), (Kind.ROBO
 @pytest.fixture
 def secured(tmp_path: Path, free_port: Callable[[], int]) -> SecuredSite:
     return SecuredSite(tmp_path, free_port())
-
-
-@pytest.fixture
-def stack() -> Iterator[ExitStack]:
-    with ExitStack() as stack:
-        yield stack
 
 
 @pytest.fixture(params=["gate", "router"])

@@ -1,6 +1,6 @@
 """Two secured sites over one router: a robot crosses over, its corrections never mix."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from uuid import UUID
@@ -42,12 +42,6 @@ class Fusion:
         publisher = self.bus.publisher(CORRECTION, key)
         publisher.put(payload, attachment=self._signer.sign(key, payload, mark))
         publisher.close()
-
-
-@pytest.fixture
-def stack() -> Iterator[ExitStack]:
-    with ExitStack() as stack:
-        yield stack
 
 
 @pytest.fixture

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.commands import Cli
 from support.fusion.drives import lab_plan, make_session, write_session
 
 from benchmarks.compositions.files import write_composition
@@ -22,11 +23,10 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("estimator", ["ekf", "particle"])
 def test_network_covariance_and_way_are_written(
-    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], estimator: str
+    session: Path, tmp_path: Path, cli: Cli, estimator: str
 ) -> None:
     arguments = ["calibrate", str(session), "--estimator", estimator, "--out", str(tmp_path)]
-    assert run(arguments) == 0
-    assert "errors against the joint covariance" in capsys.readouterr().out
+    assert "errors against the joint covariance" in cli(*arguments).out
     network = load_network(tmp_path / "network.json")
     assert network.estimator == estimator
     assert network.located == ["c1", "c2", "c3"]
@@ -58,13 +58,10 @@ def test_what_the_session_tells_of_its_noise_holds_for_the_filters_too(
     assert error.nees < 2
 
 
-def test_what_a_filter_does_not_work_out_is_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_a_filter_does_not_work_out_is_one_line(tmp_path: Path, cli: Cli) -> None:
     folder = write_session(
         make_session(lab_plan(seconds=2.0, more="[fusion]\ntarget_rotation = 0.01")), tmp_path
     )
-    assert run(["calibrate", str(folder), "--estimator", "ekf"]) == 2
-    text = capsys.readouterr().err.strip()
+    text = cli.refused("calibrate", folder, "--estimator", "ekf").strip()
     assert "the estimator «ekf» does not estimate the faces' places" in text
     assert len(text.splitlines()) == 1

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 from support.builders import REAL_DATA
-from support.pictures.boards import NOWHERE, target_of
+from support.pictures.boards import target_of
 
 from trigpoint.cli import run
 from trigpoint.edge.lens.calibration import calibrate
 from trigpoint.geometry.camera import LensModel
-from trigpoint.site.target import Face, Pattern
+from trigpoint.site.target import NOWHERE, Face, Pattern
 from trigpoint.tools.pictures.intrinsics_search import Searched, search
 
 FISHEYE = REAL_DATA / "boards" / "camodocal"
@@ -69,7 +69,7 @@ def test_lens_of_a_video_camera(tmp_path: Path, capsys: pytest.CaptureFixture[st
 def fisheye_views() -> Searched:
     if not FISHEYE.is_dir():
         pytest.skip(f"the real pictures of {FISHEYE.name} are not here")
-    face = Face(0, Pattern.CHECKERBOARD, 10, 7, 0.03, **NOWHERE)
+    face = Face(0, Pattern.CHECKERBOARD, 10, 7, 0.03, *NOWHERE)
     return search([FISHEYE], [target_of(face)], jobs=1)
 
 

@@ -6,12 +6,12 @@ import cv2
 import numpy as np
 import pytest
 from support.builders import REAL_DATA
-from support.pictures.boards import NOWHERE, target_of
+from support.pictures.boards import target_of
 
 from trigpoint.edge.detector import TargetDetector, detector_for
 from trigpoint.edge.sources.frames_video import Video
 from trigpoint.edge.sources.picture_files import pictures_in, read_picture
-from trigpoint.site.target import Face, Numbering, Pattern
+from trigpoint.site.target import NOWHERE, Face, Numbering, Pattern
 
 ARM, VIDEO = REAL_DATA / "charuco-arm", REAL_DATA / "charuco-video"
 ARM_BOARD = Face(
@@ -20,7 +20,7 @@ ARM_BOARD = Face(
     5,
     7,
     0.036195,
-    **NOWHERE,
+    *NOWHERE,
     marker=0.018256,
     dictionary="DICT_6X6_250",
 )
@@ -31,7 +31,7 @@ VIDEO_BOARD = Face(
     4,
     5,
     0.054,
-    **NOWHERE,
+    *NOWHERE,
     marker=0.0405,
     dictionary="DICT_4X4_1000",
     inverted=True,
@@ -44,7 +44,7 @@ KALIBRS_GRID = Face(
     6,
     6,
     0.1144,
-    **NOWHERE,
+    *NOWHERE,
     marker=0.088,
     dictionary="DICT_APRILTAG_36h11",
     border_bits=2,

@@ -3,9 +3,10 @@
 from typing import Any
 
 import numpy as np
+from support.fusion.networks import located
 
 from trigpoint.geometry import Pose
-from trigpoint.map.network import CameraRecord, Network, PoseRecord, Statistics, Status
+from trigpoint.map.network import CameraRecord, Network, Statistics, Status
 from trigpoint.tools.networks.truth import CameraError, NetworkError
 from trigpoint.tools.report.demo.results import (
     CameraResult,
@@ -31,12 +32,7 @@ def make_camera(
     truth = Pose(LOOKING_DOWN_X, np.array(place))
     covariance = np.diag([sigma**2] * 3 + [1e-6] * 3)
     shift = np.array(error)
-    record = CameraRecord(
-        "located",
-        map_from_camera=PoseRecord.of(truth.disturbed([*error, 0.001, 0.0, 0.0])),
-        covariance=tuple(covariance.reshape(-1).tolist()),
-        sightings=20,
-    )
+    record = located(truth.disturbed([*error, 0.001, 0.0, 0.0]), covariance, sightings=20)
     size = float(np.linalg.norm(shift))
     fields: dict[str, Any] = {
         "record": record,
@@ -71,7 +67,6 @@ def make_robot(**more: Any) -> RobotResult:
         "live": make_track(0.01),
         "believed": make_track(0.02, count=11),
         "smoothed": make_track(0.005),
-        "corrections": 3,
     }
     return RobotResult("r1", **(fields | more))
 

@@ -6,10 +6,9 @@ import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import ExitStack
 
-import pytest
 from support.builders import eventually, make_site
 
 from trigpoint.bus.bus import Bus, Subscription
@@ -108,12 +107,6 @@ class Proxy:
             selector.unregister(link)
             link.close()
         self._links.clear()
-
-
-@pytest.fixture
-def stack() -> Iterator[ExitStack]:
-    with ExitStack() as stack:
-        yield stack
 
 
 def drain(subscription: Subscription, last: bytes) -> list[bytes]:

@@ -1,7 +1,7 @@
 """All nodes of a small site are brought to another version, one after the other; the map stays."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from uuid import UUID
@@ -151,12 +151,6 @@ class Listener:
             return len(self.maps) > before
 
         return eventually(has_come, PATIENCE_S)
-
-
-@pytest.fixture
-def stack() -> Iterator[ExitStack]:
-    with ExitStack() as stack:
-        yield stack
 
 
 def test_map_stays_while_every_node_is_updated(

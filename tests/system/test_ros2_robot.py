@@ -2,7 +2,6 @@
 
 import json
 import time
-from collections.abc import Iterator
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -94,12 +93,6 @@ def all_of(subscription: Subscription, type_name: str) -> list[Any]:
     while (sample := subscription.take(0.3)) is not None:
         found.append(decode(type_name, sample.payload))
     return found
-
-
-@pytest.fixture
-def stack() -> Iterator[ExitStack]:
-    with ExitStack() as stack:
-        yield stack
 
 
 def foreign(desk: Desk, key: str) -> Any:

@@ -35,7 +35,6 @@ class Alarms:
         self._count = 0
 
     def look(self, status: SiteStatus, now_s: float) -> dict[str, Fields | None]:
-        """The entities after a look."""
         found: dict[str, Fields | None] = {
             f"{_NODE}{node.name}": _fields(node) for node in status.nodes
         }

@@ -25,8 +25,9 @@ from trigpoint.tools.web.answers import (
     packaged,
     served_app,
 )
+from trigpoint.tools.web.pages import TooManyPagesError
 
-from .feed import Feed, TooManyPagesError
+from .feed import Feed
 from .history import History
 from .operator import Commands
 from .pictures import Pictures
@@ -48,7 +49,6 @@ _MOST_FORM = 4096
 
 
 def assets() -> dict[str, bytes]:
-    """The page's files, by name."""
     return packaged("trigpoint.tools.board", ASSETS)
 
 
@@ -66,79 +66,72 @@ class Board:
     metrics: Callable[[], bytes]
     commands: Commands | None = None
 
+    @property
+    def app(self) -> Starlette:
+        routes = [
+            Route("/", self._front),
+            Route("/login", self._login, methods=["GET", "POST"]),
+            Route("/events", self._events),
+            Route("/past", self._past),
+            Route("/plan.png", self._laid),
+            Route("/grid.png", self._laid),
+            Route("/metrics", self._metrics),
+            Route("/camera/{name}/look", self._look),
+            Route("/camera/{name}/picture/{stamp:int}", self._picture),
+        ]
+        if self.commands is not None:
+            routes.append(Route("/command/{name:path}", self._command, methods=["POST"]))
+        return served_app(self.files, ASSETS, routes, self.guard)
 
-def app_of(board: Board) -> Starlette:
-    """The application."""
-    pages = _Pages(board)
-    routes = [
-        Route("/", pages.front),
-        Route("/login", pages.login, methods=["GET", "POST"]),
-        Route("/events", pages.events),
-        Route("/past", pages.past),
-        Route("/plan.png", pages.laid),
-        Route("/grid.png", pages.laid),
-        Route("/metrics", pages.metrics),
-        Route("/camera/{name}/look", pages.look),
-        Route("/camera/{name}/picture/{stamp:int}", pages.picture),
-    ]
-    if board.commands is not None:
-        routes.append(Route("/command/{name:path}", pages.command, methods=["POST"]))
-    return served_app(board.files, ASSETS, routes, board.guard)
+    async def _front(self, _: Request) -> Response:
+        response = Response(self.files["board.html"], media_type="text/html")
+        return self.guard.let_in(response)
 
-
-class _Pages:
-    def __init__(self, board: Board) -> None:
-        self._board = board
-
-    async def front(self, _: Request) -> Response:
-        response = Response(self._board.files["board.html"], media_type="text/html")
-        return self._board.guard.let_in(response)
-
-    async def laid(self, request: Request) -> Response:
+    async def _laid(self, request: Request) -> Response:
         name = request.url.path.strip("/").partition(".")[0]
-        if not (data := self._board.picture(name)):
+        if not (data := self.picture(name)):
             return PlainTextResponse(f"the site has no {name}", 404)
         return kept(request, data, "image/png")
 
-    async def login(self, request: Request) -> Response:
+    async def _login(self, request: Request) -> Response:
         if request.method != "POST":
-            return Response(self._board.files["login.html"], media_type="text/html")
+            return Response(self.files["login.html"], media_type="text/html")
         given = parse_qs(await _form(request)).get("token", [""])[0]
-        if not self._board.guard.is_token(given.strip()):
+        if not self.guard.is_token(given.strip()):
             await asyncio.sleep(_LOGIN_DELAY_S)
-            return Response(self._board.files["login.html"], 401, media_type="text/html")
-        return self._board.guard.let_in(RedirectResponse("/", 303))
+            return Response(self.files["login.html"], 401, media_type="text/html")
+        return self.guard.let_in(RedirectResponse("/", 303))
 
-    async def events(self, request: Request) -> Response:
-        feed, history = self._board.feed, self._board.history
+    async def _events(self, request: Request) -> Response:
+        feed, history = self.feed, self.history
         ways = await run_in_threadpool(history.ways, feed.now_s)
         try:
             page = feed.join(ways)
         except TooManyPagesError as reason:
             return PlainTextResponse(str(reason), 503)
-        return self._board.guard.let_in(EventStream(request, page, lambda: feed.leave(page)))
+        return self.guard.let_in(EventStream(request, page, feed))
 
-    async def past(self, request: Request) -> Response:
+    async def _past(self, request: Request) -> Response:
         try:
             at_s = float(request.query_params.get("at", ""))
         except ValueError:
             at_s = math.nan
         if not math.isfinite(at_s):
             return PlainTextResponse("`at` is a Unix time in seconds", 400)
-        whole = await run_in_threadpool(self._board.history.at, at_s)
+        whole = await run_in_threadpool(self.history.at, at_s)
         if whole is None:
             return PlainTextResponse("nothing is kept yet", 404)
         return json_answer(whole)
 
-    async def metrics(self, _: Request) -> Response:
-        text = await run_in_threadpool(self._board.metrics)
+    async def _metrics(self, _: Request) -> Response:
+        text = await run_in_threadpool(self.metrics)
         return Response(text, media_type="text/plain; version=0.0.4; charset=utf-8")
 
-    async def look(self, request: Request) -> Response:
+    async def _look(self, request: Request) -> Response:
         after = request.query_params.get("after", "0")
         if not after.isdecimal() or len(after) > 19:
             return PlainTextResponse("`after` is a stamp in nanoseconds", 400)
-        newest = self._board.pictures.newest
+        newest = self.pictures.newest
 
         async def found() -> Response:
             picture, faces = await run_in_threadpool(
@@ -150,20 +143,20 @@ class _Pages:
 
         return await _told(found)
 
-    async def picture(self, request: Request) -> Response:
+    async def _picture(self, request: Request) -> Response:
         name, stamp_ns = request.path_params["name"], request.path_params["stamp"]
-        data = self._board.pictures.jpeg(name, stamp_ns)
+        data = self.pictures.jpeg(name, stamp_ns)
         if data is None:
             return PlainTextResponse("that picture is not kept any more", 404)
         return Response(data, media_type="image/jpeg")
 
-    async def command(self, request: Request) -> Response:
-        commands = self._board.commands
+    async def _command(self, request: Request) -> Response:
+        commands = self.commands
         assert commands is not None  # else there is no such route
 
         async def done() -> Response:
-            answer = await run_in_threadpool(commands.give, request.path_params["name"])
-            return Response(answer.data, media_type=answer.media_type)
+            data, media_type = await run_in_threadpool(commands.give, request.path_params["name"])
+            return Response(data, media_type=media_type)
 
         return await _told(done)
 

@@ -18,7 +18,7 @@ from trigpoint.tools.web.answers import version_of
 from trigpoint.tools.web.serving import served
 from trigpoint.zenoh import open_bus
 
-from .app import OPEN_PATHS, Board, app_of, assets
+from .app import OPEN_PATHS, Board, assets
 from .feed import Feed
 from .history import History
 from .operator import Commands, check_operator
@@ -73,8 +73,6 @@ def main(
 
 
 class BoardService:
-    """Page and reader of one site, until it is stopped."""
-
     def __init__(self, site: Site, access: Access, *, is_operator: bool = False) -> None:
         self._site, self._access = site, access
         self._bus: Bus | None = None
@@ -101,7 +99,7 @@ class BoardService:
 
     def run(self, port: int, bus: Bus | None = None) -> None:
         """Serve until stopped; `bus`: the open one, else the site's is opened."""
-        with served(app_of(self._board), self._access, port) as address:
+        with served(self._board.app, self._access, port) as address:
             typer.echo(f"open in a browser: {address}")
             try:
                 if bus is not None:

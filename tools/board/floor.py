@@ -1,18 +1,15 @@
 """The floor plan under the page's map: its picture, and where it lies."""
 
-import io
-
-import numpy as np
-
 from trigpoint.base.errors import InputError
 from trigpoint.contract.messages import PoseEstimate
-from trigpoint.geometry.rotation import Array
-from trigpoint.map.building import Building, load_plan
+from trigpoint.map.building import load_plan
 from trigpoint.map.live_laying import LiveLaying
 from trigpoint.site.config import Site
+from trigpoint.tools.pages.floor_plan import picture_matrix, png
 
 from .entities import Fields
 
+_SHADES = 16
 _MOST_PIXELS = 1200
 """A side; walls are still seen, and the picture of a hall has some tens of kilobytes."""
 
@@ -26,7 +23,7 @@ class Floor:
         self._laying = LiveLaying(site.map, plan)
         self._building = self._laying.given()
         self._trouble = ""
-        self.picture = b"" if self._plan is None else _png(self._plan.pixels)
+        self.picture = b"" if self._plan is None else png(self._plan.pixels, colours=_SHADES)
 
     def take(self, kind: str, name: str, message: PoseEstimate) -> None:
         """Take the pose of a camera or robot, by which the map may be laid anew."""
@@ -47,27 +44,7 @@ class Floor:
         found: Fields = {"trouble": self._trouble}
         if self._plan is not None and self._building is not None:
             rows, columns = self._plan.pixels.shape
-            found |= {"size": [columns, rows], "matrix": self._matrix(self._building)}
+            corners = self._building.frame_from_map.inverse() @ self._plan.corners
+            matrix = picture_matrix(corners[:, :2], columns, rows)
+            found |= {"size": [columns, rows], "matrix": [round(value, 6) for value in matrix]}
         return found
-
-    def _matrix(self, building: Building) -> list[float]:
-        assert self._plan is not None
-        rows, columns = self._plan.pixels.shape
-        corners = building.frame_from_map.inverse() @ self._plan.corners
-        return matrix(corners[[0, 1, 3], :2], columns, rows)
-
-
-def matrix(corners: Array, columns: int, rows: int) -> list[float]:
-    """A picture's columns and rows to x, y of the map, as SVG orders them; `corners` (3, 2): its
-    lower left, lower right and upper left."""
-    low, right, top = corners
-    across, down = (right - low) / columns, (low - top) / rows
-    return [round(float(value), 6) for value in (*across, *down, *top)]
-
-
-def _png(pixels: np.ndarray) -> bytes:
-    from PIL import Image  # with the site's plan alone
-
-    data = io.BytesIO()
-    Image.fromarray(pixels).quantize(16).save(data, "png", optimize=True)
-    return data.getvalue()

@@ -56,7 +56,6 @@ class History:
 
     @property
     def begin_s(self) -> float | None:
-        """The earliest time that is kept."""
         with self._lock:
             return self._minutes[0].t if self._minutes else None
 

@@ -1,21 +1,12 @@
 """What an operator may have done from the page: a snapshot, and a map begun anew."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from trigpoint.base.errors import ConfigError, InputError, OperationError
 from trigpoint.bus.bus import Bus
 from trigpoint.contract.access import Kind
 from trigpoint.contract.topics import command_key
 from trigpoint.site.config import Site
-
-
-@dataclass(frozen=True, slots=True)
-class Answer:
-    """What a command gave."""
-
-    data: bytes
-    media_type: str
 
 
 def check_operator(site: Site) -> None:
@@ -44,9 +35,9 @@ class Commands:
         self._known = {"fusion/reset": "application/json"} | snapshots
         self._site = site.name
 
-    def give(self, name: str) -> Answer:
-        """Give one command and wait for its answer; raise InputError where there is no such one,
-        OperationError where nobody answers or it is refused."""
+    def give(self, name: str) -> tuple[bytes, str]:
+        """Give one command and wait for its answer and its media type; raise InputError where there
+        is no such command, OperationError where nobody answers or it is refused."""
         if name not in self._known:
             raise InputError("there is no such command")
         bus = self._bus()
@@ -57,4 +48,4 @@ class Commands:
             raise OperationError(f"nobody answers to {name}; does that node run?")
         if replies[0].error:
             raise OperationError(replies[0].error)
-        return Answer(replies[0].payload, self._known[name])
+        return replies[0].payload, self._known[name]

@@ -24,8 +24,6 @@ _POLL_S = 0.05
 
 @dataclass(slots=True)
 class _Watch:
-    """One camera that is looked at."""
-
     pictures: Subscription
     sightings: Subscription
     asked_s: float = 0.0
@@ -33,12 +31,10 @@ class _Watch:
     seen: deque[Sightings] = field(default_factory=lambda: deque(maxlen=_SIGHTINGS))
 
     def drain(self) -> None:
-        """Take in what came."""
         self.shown.extend(_decoded(IMAGE, self.pictures))
         self.seen.extend(_decoded(SIGHTINGS, self.sightings))
 
     def close(self) -> None:
-        """Withdraw both."""
         self.pictures.close()
         self.sightings.close()
 
@@ -84,7 +80,6 @@ class Pictures:
                 self._watches.pop(camera).close()
 
     def close(self) -> None:
-        """Withdraw everything."""
         with self._lock:
             while self._watches:
                 self._watches.popitem()[1].close()

@@ -89,7 +89,6 @@ class Reader:
         self._show(shown | {"site": self._about, "plan": self._floor.fields})
 
     def run(self, bus: Bus, stopping: threading.Event) -> None:
-        """Read until it is to stop."""
         subscriptions = [(topic, self._subscribe(bus, topic)) for topic in _READ]
         heard = self._subscribe(bus, topics.DIAGNOSTICS)
         asking = threading.Thread(target=self._ask, args=(bus, stopping), name="board alive")
@@ -182,7 +181,6 @@ class Reader:
         return shown
 
     def _status(self, peers: int) -> SiteStatus:
-        """What `status` would say."""
         since_s = time.monotonic() - _HEARD_S
         self._statuses = {n: one for n, one in self._statuses.items() if one[0] > since_s}
         return summarise(

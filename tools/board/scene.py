@@ -15,6 +15,7 @@ from trigpoint.contract.messages import Message, Polygon, PoseEstimate, PoseStam
 from trigpoint.contract.topics import Topic
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
+from trigpoint.tools.site.state import number_said
 
 from .entities import Entities, Fields
 
@@ -44,7 +45,6 @@ class Scene:
         self._dirty = set(self._fields)
 
     def take(self, topic: Topic, name: str, message: Message, received_ns: int) -> None:
-        """Take in one message of a camera or robot of the site."""
         kind = topic.path.partition("/")[0]
         entity = f"{'robot' if kind == 'robot' else 'camera'}/{name}"
         if topic is topics.CORRECTION:
@@ -67,11 +67,11 @@ class Scene:
         """Take what a camera's agent reports of the faces it found: that is enough to say whether
         it sees a target, and its sightings, a thousand a second, need not come here."""
         entity = f"camera/{camera}"
-        if entity not in self._fields or _count(values.get("faces.total")) <= 0:
+        if entity not in self._fields or number_said(values.get("faces.total", "")) <= 0:
             return
         if self._fields[entity]["state"] == UNSEEN:
             self._set(entity, {"state": UNDETERMINED})
-        if _count(values.get("faces.rate")) > 0:
+        if number_said(values.get("faces.rate", "")) > 0:
             seen_s = round(to_seconds(received_ns))
             self._set(entity, {"seen": seen_s // _SEEN_STEP_S * _SEEN_STEP_S})
 
@@ -119,9 +119,7 @@ def _camera(message: PoseEstimate) -> Fields:
 
 def _plane(pose: Pose) -> list[float]:
     """x, y, heading."""
-    x, y, _ = pose.translation.tolist()
-    heading = math.atan2(pose.rotation[1, 0], pose.rotation[0, 0])
-    return [round(x, 3), round(y, 3), round(heading, 3)]
+    return [round(float(value), 3) for value in (*pose.translation[:2], pose.heading)]
 
 
 def _uncertainty(covariance: Array) -> Fields:
@@ -137,14 +135,6 @@ def _uncertainty(covariance: Array) -> Fields:
         "turn": _two_digits(math.sqrt(max(0.0, float(covariance[5, 5])))),
         "ellipse": [_two_digits(long), _two_digits(short), round(direction, 1)],
     }
-
-
-def _count(text: str | None) -> float:
-    """A number that another node sent; 0 of what is none."""
-    try:
-        return float(text or 0)
-    except ValueError:
-        return 0.0
 
 
 def _two_digits(value: float) -> float:

@@ -13,7 +13,6 @@ horizontal_fov = 70.0             # degrees; or intrinsics = "lens.yaml"
 ```
 """
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -25,7 +24,6 @@ from trigpoint.base.words import nearest
 from trigpoint.fusion.coverage.eye import Eye
 from trigpoint.fusion.coverage.known_network import KnownNetwork
 from trigpoint.geometry import CameraModel, Pose
-from trigpoint.geometry.rotation import Array
 from trigpoint.site.camera_info import read_camera_info
 from trigpoint.site.config.number_types import Count, Positive
 from trigpoint.site.toml_file import load_toml
@@ -57,28 +55,11 @@ class CandidateSpec(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class CandidatesFile(Struct, frozen=True, forbid_unknown_fields=True):
-    """The whole file."""
-
     cameras: dict[str, CandidateSpec]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Candidate:
-    """A camera at a place; `covariance` (6, 6): how well it is expected to be located there."""
-
-    eye: Eye
-    covariance: Array
-
-    @property
-    def name(self) -> str:
-        return self.eye.name
-
-
-def load_candidates(path: Path, network: KnownNetwork) -> list[Candidate]:
-    """The candidates of a file, in its order; raise InputError that names file, line and key.
-
-    Each is taken to be located as well as the middle one of the network's cameras.
-    """
+def load_candidates(path: Path, network: KnownNetwork) -> list[Eye]:
+    """The candidates of a file, in its order; raise InputError that names file, line and key."""
     file = load_toml(path, CandidatesFile, "candidates file", InputError)
     if not file.cameras:
         raise InputError(f"{path}: names no place; add a table like [cameras.over_door]")
@@ -88,10 +69,10 @@ def load_candidates(path: Path, network: KnownNetwork) -> list[Candidate]:
     return [_candidate(path, name, spec, network) for name, spec in file.cameras.items()]
 
 
-def _candidate(path: Path, name: str, spec: CandidateSpec, network: KnownNetwork) -> Candidate:
+def _candidate(path: Path, name: str, spec: CandidateSpec, network: KnownNetwork) -> Eye:
     lens, sigma_px = _lens(path, name, spec, network)
     pose = Pose(looking(spec.yaw, spec.pitch, spec.roll), np.array(spec.position))
-    return Candidate(Eye(name, pose, lens, spec.sigma or sigma_px), network.usual_covariance)
+    return Eye(name, pose, lens, spec.sigma or sigma_px)
 
 
 def _lens(

@@ -67,7 +67,6 @@ def _next(before: Corner, here: Corner, ends: list[Corner]) -> Corner:
 
 
 def _without_straights(ring: Array) -> Array:
-    """The ring without the corners on straight lines."""
     steps = np.diff(ring, axis=0)
     turns = np.any(steps != np.roll(steps, 1, axis=0), axis=1)
     kept = ring[:-1][turns]
@@ -87,7 +86,6 @@ def _beside(ring: Array) -> Array:
 
 
 def _holds(ring: Array, point: Array) -> bool:
-    """Whether a ring goes around a point."""
     (x0, y0), (x1, y1) = ring[:-1].T, ring[1:].T
     crosses = (y0 > point[1]) != (y1 > point[1])
     at = x0 + (point[1] - y0) * (x1 - x0) / np.where(y1 == y0, 1.0, y1 - y0)

@@ -37,12 +37,11 @@ def _text(each: AccuracyMap) -> str:
 
 
 def gains_text(gains: Sequence[Gain], within_m: float) -> str:
-    """A table of the candidates, best first."""
     head = ("one more camera", *(f"+ m² {class_name(w)}" for w in WITHIN_M))
     head += (f"+ m² {class_name(within_m)} where one fails",)
     rows = [
         (
-            gain.candidate.name,
+            gain.camera,
             *(f"{gain.area_m2(w):.1f}" for w in WITHIN_M),
             f"{gain.area_m2(within_m, failing=True):.1f}",
         )
@@ -100,7 +99,7 @@ def _map(each: AccuracyMap) -> dict[str, Any]:
 
 def _gain(gain: Gain, within_m: float) -> dict[str, Any]:
     return {
-        "camera": gain.candidate.name,
+        "camera": gain.camera,
         "gained": [{"within_m": _bound(w), "area_m2": round(gain.area_m2(w), 2)} for w in WITHIN_M],
         "where_one_fails": {
             "within_m": within_m,

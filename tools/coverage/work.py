@@ -1,6 +1,6 @@
 """From a network or a session to the maps of corrections, and those with one more camera."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -9,16 +9,16 @@ import numpy as np
 from trigpoint.base.errors import InputError
 from trigpoint.fusion.coverage.accuracy_map import AccuracyMap, accuracy_map
 from trigpoint.fusion.coverage.boards import Carried
+from trigpoint.fusion.coverage.eye import Eye
 from trigpoint.fusion.coverage.floor import DRIVEN_M, Floor, each_decimetre, floor_of
 from trigpoint.fusion.coverage.known_network import KnownNetwork, carried_by, known_network
+from trigpoint.fusion.estimators.results import Results
 from trigpoint.geometry.rotation import Array
-from trigpoint.map.network import Network, load_covariance, load_network, load_tum
-from trigpoint.site.config import Site, load_site
+from trigpoint.map.network import load_covariance, load_network, load_tum
+from trigpoint.site.config import load_site
 from trigpoint.site.option import site_here
-from trigpoint.site.target import Target, load_target
+from trigpoint.site.target import load_target
 from trigpoint.tools.calibrate.work import fed, task_of
-
-from .candidates import Candidate
 
 MOST_CELLS = 4_000_000
 """A floor of 200 m × 200 m; beyond it something is not where it should be."""
@@ -39,7 +39,7 @@ class Known:
 class Gain:
     """What a candidate would add. `now`, `then`: the maps without and with it."""
 
-    candidate: Candidate
+    camera: str
     now: tuple[AccuracyMap, ...]
     then: tuple[AccuracyMap, ...]
 
@@ -57,54 +57,37 @@ def known_of(path: Path, *, site: Path | None, robots: Sequence[str]) -> Known:
     InputError in one line."""
     if path.suffix == ".json" or (path.is_dir() and (path / "network.json").exists()):
         loaded = load_site(_site_file(path, site))
-        network = load_network(path)
         targets = {n: load_target(loaded.path(loaded.target_name(n))) for n in loaded.robots}
-        driven = _driven_beside(path, network)
-        return _known(
-            path, loaded, targets, network, load_covariance(path, network), driven, robots
-        )
-    task = task_of(path, site=site)
-    pipeline = fed(task.messages(), task.inputs, source=path)
-    pipeline.finish()
-    results, inputs = pipeline.results(), task.inputs
-    driven = each_decimetre([poses.translation for _, poses in results.trajectories.values()])
-    return _known(
-        path, inputs.site, inputs.targets, results.network, results.covariance, driven, robots
-    )
-
-
-def _known(
-    path: Path,
-    site: Site,
-    targets: Mapping[str, Target],
-    network: Network,
-    covariance: Array,
-    driven: Array,
-    robots: Sequence[str],
-) -> Known:
+        results = _saved(path)
+    else:
+        task = task_of(path, site=site)
+        pipeline = fed(task.messages(), task.inputs, source=path)
+        pipeline.finish()
+        loaded, targets, results = task.inputs.site, task.inputs.targets, pipeline.results()
+    network = results.network
     if not network.located:
         raise InputError(f"{path}: locates no camera, so no robot is corrected; calibrate first")
-    for name in robots:
-        site.robot(name)  # raises for one that is not there
-    chosen = {name: site.robots[name] for name in (robots or site.robots)}
+    chosen = {name: loaded.robot(name) for name in (robots or loaded.robots)}
     if not chosen:
         raise InputError("the site file has no robot; add [robots.r1] with its target")
     carried = carried_by(chosen, targets, network)
-    return Known(site.name, known_network(network, covariance), carried, driven)
+    driven = each_decimetre([poses.translation for _, poses in results.trajectories.values()])
+    return Known(loaded.name, known_network(network, results.covariance), carried, driven)
 
 
 def maps_of(
     known: Known,
-    candidates: Sequence[Candidate],
+    candidates: Sequence[Eye],
     *,
     driven_only: bool,
     step: Callable[[int], None] = lambda _cells: None,
 ) -> tuple[tuple[AccuracyMap, ...], list[Gain]]:
-    """The maps of each target; and what each candidate would add, in the order given."""
-    network = known.network
-    joined = network
+    """The maps of each target; and what each candidate would add, in the order given. Each is taken
+    to be located as well as the middle one of the network's cameras."""
+    network = joined = known.network
+    usual = network.usual_covariance
     for candidate in candidates:
-        joined = joined.with_camera(candidate.eye, candidate.covariance)
+        joined = joined.with_camera(candidate, usual)
     floor = floor_of(joined, known.carried, known.driven, most_cells=MOST_CELLS)
     wanted = floor.near(known.driven, DRIVEN_M) if driven_only else None
     now = tuple(
@@ -113,12 +96,12 @@ def maps_of(
     )
     gains = []
     for candidate in candidates:
-        more = network.with_camera(candidate.eye, candidate.covariance)
+        more = network.with_camera(candidate, usual)
         pairs = [
             _with_one_more(known, more, each, old, floor, wanted)
             for each, old in zip(known.carried, now, strict=True)
         ]
-        gains.append(Gain(candidate, *(tuple(maps) for maps in zip(*pairs, strict=True))))
+        gains.append(Gain(candidate.name, *(tuple(maps) for maps in zip(*pairs, strict=True))))
     return now, gains
 
 
@@ -151,12 +134,12 @@ def _site_file(network: Path, given: Path | None) -> Path:
     return found
 
 
-def _driven_beside(path: Path, network: Network) -> Array:
-    """Where robots drove, by the trajectories beside a network."""
-    folder = path if path.is_dir() else path.parent
-    parts = []
-    for robot in network.robots.values():
-        file = folder / robot.trajectory if robot.trajectory is not None else None
-        if file is not None and file.exists():
-            parts.append(load_tum(file)[1].translation)
-    return each_decimetre(parts)
+def _saved(path: Path) -> Results:
+    """A network with what lies beside it: its covariance, and those trajectories that are there."""
+    network, folder = load_network(path), path if path.is_dir() else path.parent
+    trajectories = {
+        name: load_tum(folder / robot.trajectory)
+        for name, robot in network.robots.items()
+        if robot.trajectory is not None and (folder / robot.trajectory).exists()
+    }
+    return Results(network, load_covariance(path, network), trajectories)

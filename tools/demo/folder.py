@@ -1,7 +1,6 @@
 """The folder of a demo: what is written before a run, and where everything lies."""
 
 import os
-from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
@@ -38,35 +37,12 @@ class DemoRecord(Struct, frozen=True):
     protocol: str = "trigpoint"
 
 
-@dataclass(frozen=True, slots=True)
 class DemoFolder:
-    """Paths of one demo."""
-
-    path: Path
-
-    @property
-    def site(self) -> Path:
-        return self.path / "site.toml"
-
-    @property
-    def session(self) -> Path:
-        return self.path / "session.mcap"
-
-    @property
-    def review(self) -> Path:
-        return self.path / "session.rrd"
-
-    @property
-    def report(self) -> Path:
-        return self.path / "report.html"
-
-    @property
-    def truth(self) -> Path:
-        return self.path / "truth.json"
-
-    @property
-    def log(self) -> Path:
-        return self.path / "log"
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.site, self.truth, self.log = path / "site.toml", path / "truth.json", path / "log"
+        self.session, self.review = path / "session.mcap", path / "session.rrd"
+        self.report = path / "report.html"
 
     @property
     def sessions(self) -> list[Path]:
@@ -131,7 +107,6 @@ class DemoFolder:
         self.write(record)
 
     def write(self, record: DemoRecord) -> None:
-        """Write down what is run."""
         part = self.path / f"{MARKER}.part"
         with writing(self.path):
             part.write_bytes(msgspec.json.format(msgspec.json.encode(record), indent=1) + b"\n")
@@ -142,7 +117,7 @@ class DemoFolder:
         path = self.path / MARKER
         text = read_text(path, "record of a demo", InputError)
         try:
-            record = msgspec.json.decode(text.encode(), type=DemoRecord)
+            record = msgspec.json.decode(text, type=DemoRecord)
         except msgspec.DecodeError as reason:
             raise InputError(
                 f"{path}: no record of a demo ({reason}); give another --out"

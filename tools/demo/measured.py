@@ -1,13 +1,14 @@
 """From the files of a run to its results."""
 
 import json
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
 from trigpoint.base.clock import NANOSECONDS
 from trigpoint.base.errors import InputError, read_text
-from trigpoint.contract.topics import topic_of
+from trigpoint.contract.topics import CORRECTED, ODOMETRY, ROBOT_POSE, topic_of
 from trigpoint.geometry import Pose
 from trigpoint.map.network import Network, PoseRecord, load_covariance, load_network, load_tum
 from trigpoint.recorder.session.recording import open_recording
@@ -72,15 +73,9 @@ def load_results(folder: DemoFolder) -> DemoResults:
 
 def came_by(world: World, camera: str, seconds: float) -> bool:
     """Whether a robot showed a camera its target in enough pictures before a world time."""
-    eye = world.camera(camera)
-    count = int((seconds - eye.phase) * eye.rate)
-    pictures = (world.sightings(camera, float(eye.time_of(index))) for index in range(count))
-    seen = 0
-    for faces in pictures:
-        seen += bool(faces)
-        if seen >= _ENOUGH_PICTURES:
-            return True
-    return False
+    times_s = world.camera(camera).picture_times(seconds).tolist()
+    met = (t_s for t_s in times_s if world.sightings(camera, t_s))
+    return len(list(islice(met, _ENOUGH_PICTURES))) == _ENOUGH_PICTURES
 
 
 def _cameras(
@@ -107,16 +102,16 @@ def _cameras(
 def _robot(
     folder: DemoFolder, record: DemoRecord, truth: TruthFile, tracks: Tracks, name: str
 ) -> RobotResult:
-    odometry = tracks.odometry(name)
+    odometry = tracks.track(ODOMETRY, name)
     end_s = odometry.t_s[-1] if len(odometry.t_s) else record.seconds
+    believed = _believed(folder.journal(name), record.epoch_ns)
     return RobotResult(
         name=name,
         truth=_tum(folder.path / truth.robots[name], record.epoch_ns).until(end_s),
         odometry=odometry,
-        live=tracks.live(name),
-        believed=_known(folder, record, tracks, name).until(end_s),
+        live=tracks.track(ROBOT_POSE, name),
+        believed=(believed if len(believed.t_s) else tracks.track(CORRECTED, name)).until(end_s),
         smoothed=_tum(folder.path / f"{name}.tum", record.epoch_ns),
-        corrections=tracks.corrections(name),
         suggestion=tracks.suggestion(name),
     )
 
@@ -129,14 +124,9 @@ def _tum(path: Path, epoch_ns: int) -> Track:
     return Track.of((stamps_ns - epoch_ns) / NANOSECONDS, poses)
 
 
-def _known(folder: DemoFolder, record: DemoRecord, tracks: Tracks, name: str) -> Track:
-    """Where the robot knows that it is; or its bridge, where it cannot be told."""
-    believed = _believed(folder.journal(name), record.epoch_ns)
-    return believed if len(believed.t_s) else tracks.corrected(name)
-
-
 def _believed(path: Path, epoch_ns: int) -> Track:
-    """What the robot itself believed from its first correction on, by its firmware's journal."""
+    """What the robot itself believed from its first correction on, by its firmware's journal; no
+    row where it cannot be told where it is, which its bridge knows then."""
     stamps_ns, poses = [], []
     for line in read_text(path, "robot's journal", InputError).splitlines():
         note = json.loads(line)

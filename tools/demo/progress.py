@@ -42,7 +42,6 @@ class Progress:
 
 
 def status_line(watch: Watch, now_s: float, cameras: int) -> str:
-    """How far the run is."""
     parts = [f"{len(watch.cameras)}/{cameras} cameras located"]
     if watch.robots:
         sigma_m = max(watch.robots.values())

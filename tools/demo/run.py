@@ -40,8 +40,6 @@ class NotUpInTimeError(OperationError):
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One run: what to simulate, where to write, whom to tell."""
-
     world: World
     folder: DemoFolder
     seconds: float
@@ -134,7 +132,6 @@ class Run:
         return missing | {node for node in robots if not counts.get(node, {}).get("odometry")}
 
     def _drive(self, record: DemoRecord, supervisor: Supervisor, watch: Watch) -> None:
-        """Let it run to the end of the session."""
         while (now_s := world_time(record)) < self.seconds:
             watch.read()
             if supervisor.revive():
@@ -168,7 +165,6 @@ def world_time(record: DemoRecord) -> float:
 
 
 def has_display() -> bool:
-    """Whether a window can be opened here."""
     names: Sequence[str] = ("DISPLAY", "WAYLAND_DISPLAY")
     return sys.platform == "darwin" or any(os.environ.get(name) for name in names)
 

@@ -39,21 +39,11 @@ class Tracks:
         for recording in _opened(sessions):
             self._read(recording)
 
-    def odometry(self, robot: str) -> Track:
-        """Where odometry alone has the robot: the map begins as its odometry's frame."""
-        return self._track(ODOMETRY, robot)
-
-    def live(self, robot: str) -> Track:
-        """Where fusion said the robot was, at once."""
-        return self._track(ROBOT_POSE, robot)
-
-    def corrected(self, robot: str) -> Track:
-        """Where its bridge said the robot was, for robots that take no corrections."""
-        return self._track(CORRECTED, robot)
-
-    def corrections(self, robot: str) -> int:
-        """How many corrections the robot was sent."""
-        return len(self._poses[CORRECTION, robot])
+    def track(self, topic: Topic, node: str) -> Track:
+        """Where a topic has a robot; odometry too, since the map begins as its frame."""
+        rows = self._poses[topic, node]
+        stamps = sorted(rows)
+        return Track.of(self._seconds(stamps), Pose.stack([rows[stamp][0] for stamp in stamps]))
 
     def suggestion(self, robot: str) -> Pose | None:
         """Where the robot was last told to go next."""
@@ -89,11 +79,6 @@ class Tracks:
             if sample.topic is CORRECTION and isinstance(message, PoseEstimate):
                 delay_s = (sample.published_ns - message.stamp_ns) / NANOSECONDS
                 self._delays_s[node, message.stamp_ns] = delay_s
-
-    def _track(self, topic: Topic, node: str) -> Track:
-        rows = self._poses[topic, node]
-        stamps = sorted(rows)
-        return Track.of(self._seconds(stamps), Pose.stack([rows[stamp][0] for stamp in stamps]))
 
     def _seconds(self, stamps_ns: Sequence[int]) -> Array:
         return np.array([(stamp - self._epoch_ns) / NANOSECONDS for stamp in stamps_ns])

@@ -44,11 +44,9 @@ class Watch:
             subscription.close()
 
     def missing(self, tokens: Collection[str]) -> set[str]:
-        """Those of the tokens that are not alive."""
         return set(tokens) - set(self._bus.alive(alive_key(self._site, "*", "*")))
 
     def read(self) -> None:
-        """Take in all that came."""
         for topic, subscription in self._subscriptions:
             if topic is DIAGNOSTICS:
                 self._read_diagnostics(subscription)

@@ -1,20 +1,28 @@
-"""`doctor`'s check of a camera: opens it as the agent would, and watches for a moment."""
+"""`doctor`'s checks of a camera: opens it as the agent would and watches for a moment; looks at the
+boards in its pictures, if they are files on this machine."""
 
 import threading
 from dataclasses import dataclass
+from itertools import islice
 
 from trigpoint.base.checks import Check
 from trigpoint.base.clock import SteadyClock, to_ns, to_seconds
-from trigpoint.base.errors import InputError, OperationError
+from trigpoint.base.errors import InputError, OperationError, TrigpointError
 from trigpoint.base.words import counted
+from trigpoint.edge.detector import detector_for
 from trigpoint.edge.sources.frames import Frame, FrameSource, open_source
 from trigpoint.edge.sources.opencv_log import quieten_opencv
 from trigpoint.site.camera_info import read_camera_info
 from trigpoint.site.config import Site
+from trigpoint.site.target import load_target
+from trigpoint.tools.pictures.account import PictureAccount
+from trigpoint.tools.pictures.detect import stills
 
 LOOK_S = 3.0
 _OPENING_S = 8.0
 _STILL_SCHEMES = ("dir", "file")
+# This many pictures suffice to see how a board is printed, and take a second.
+_PICTURES = 10
 _SLOW = 0.7
 """A camera that gives less than this share of its `rate` is reported."""
 _OLD_S = 1.0
@@ -35,8 +43,7 @@ class Glance:
 
 def check_camera(site: Site, name: str) -> list[Check]:
     """Whether a camera opens, and its pictures fit the site file and its lens."""
-    scheme = site.camera(name).source.partition("://")[0]
-    if scheme == "sim":
+    if site.camera(name).scheme == "sim":
         return []
     try:
         glance = look_at(site, name)
@@ -97,7 +104,7 @@ def _picture_check(site: Site, name: str, glance: Glance) -> Check:
         remedy = f"write width = {glance.width} and height = {glance.height}"
         text = f"{text}; the site file says {config.width} × {config.height}"
         return Check(f"camera {name}", "error", text, remedy)
-    is_live = config.source.partition("://")[0] not in _STILL_SCHEMES
+    is_live = config.scheme not in _STILL_SCHEMES
     if is_live and glance.age_s > _OLD_S:
         remedy = "see what holds its pictures up: buffers, network, clock"
         return Check(f"camera {name}", "warning", text, remedy)
@@ -122,3 +129,26 @@ def _lens_check(site: Site, name: str, glance: Glance) -> list[Check]:
         remedy = "make one from pictures of this size with `trigpoint intrinsics`"
         return [Check(f"lens of {name}", "error", text, remedy)]
     return [Check(f"lens of {name}", "ok", f"{path}, {lens.width} × {lens.height}")]
+
+
+def check_boards(site: Site, camera: str) -> list[Check]:
+    """Boards that the target files describe wrongly; live cameras are left to their agents."""
+    config = site.camera(camera)
+    if config.scheme not in _STILL_SCHEMES or config.file is None:
+        return []
+    try:
+        targets = [load_target(site.path(name)) for name in site.target_names]
+        detector = detector_for(targets)
+        account = PictureAccount()
+        for still in islice(stills([site.path(config.file)], account=account), _PICTURES):
+            detector.detect(still.picture)
+        said = account.lines()
+    except TrigpointError as reason:
+        return [Check(f"pictures of {camera}", "warning", str(reason), "mend the source")]
+    pictures = [Check(f"pictures of {camera}", "warning", line) for line in said]
+    # Each says what is wrong, and after the last semicolon what to do.
+    boards = [
+        Check(f"boards of {camera}", "error", *s.rpartition("; ")[::2])
+        for s in detector.misdescribed
+    ]
+    return pictures + boards

@@ -4,7 +4,6 @@ import re
 import shutil
 import subprocess
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from trigpoint.base.checks import Check
 from trigpoint.site.config import OdometryNoise, Site
@@ -16,14 +15,8 @@ _CHRONY_OFFSET, _CHRONY_LEAP = 4, 13
 """Fields of `chronyc -c tracking` (chronyc(1)): system time, leap status."""
 
 Ask = Callable[[list[str]], str]
-
-
-@dataclass(frozen=True, slots=True)
-class TimeService:
-    """The service that keeps the clock, and its estimate of the offset."""
-
-    name: str
-    offset_s: float
+TimeService = tuple[str, float]
+"""The name of what keeps the clock, and by how much it is off, s."""
 
 
 def check_time_service(site: Site | None, ask: Ask | None = None) -> Check:
@@ -36,17 +29,18 @@ def check_time_service(site: Site | None, ask: Ask | None = None) -> Check:
             "neither chrony nor systemd-timesyncd says how far this machine's clock is off",
             "install chrony, with the same server on every machine of the site",
         )
+    name, offset_s = service
     robots = site.robots.values() if site else ()
     noises = [robot.odometry for robot in robots] or [OdometryNoise()]
     limit_s = min(noise.bearable_clock_offset_s for noise in noises)
-    text = f"{service.name}: {1e3 * service.offset_s:+.3f} ms off"
-    if abs(service.offset_s) <= limit_s:
+    text = f"{name}: {1e3 * offset_s:+.3f} ms off"
+    if abs(offset_s) <= limit_s:
         return Check("time service", "ok", text)
     return Check(
         "time service",
         "error",
         f"{text}; the robots' odometry bears {1e3 * limit_s:.1f} ms",
-        f"wait until {service.name} has settled, or give it a nearer server",
+        f"wait until {name} has settled, or give it a nearer server",
     )
 
 
@@ -62,7 +56,7 @@ def _chrony(text: str) -> TimeService | None:
     if len(fields) <= _CHRONY_LEAP or fields[_CHRONY_LEAP] == "Not synchronised":
         return None
     try:
-        return TimeService("chrony", float(fields[_CHRONY_OFFSET]))
+        return "chrony", float(fields[_CHRONY_OFFSET])
     except ValueError:
         return None
 
@@ -71,7 +65,7 @@ def _timesyncd(text: str) -> TimeService | None:
     match = _OFFSET.search(text)
     if match is None:
         return None
-    return TimeService("systemd-timesyncd", float(match[1]) * _UNITS[match[2]])
+    return "systemd-timesyncd", float(match[1]) * _UNITS[match[2]]
 
 
 def _output(words: list[str]) -> str:

@@ -136,30 +136,20 @@ def _check_target(site: Site, name: str) -> Check:
 
 
 def _check_camera(site: Site, name: str) -> list[Check]:
-    findings = [] if site.camera(name).intrinsics else [_no_lens(name)]
-    scheme, _, place = site.camera(name).source.partition("://")
-    if scheme == "v4l2":
-        device = _check_device(f"camera {name}", _device(place.partition("?")[0]), "video")
+    camera = site.camera(name)
+    findings = [] if camera.intrinsics else [_no_lens(name)]
+    shutter = [_shutter(name, camera)] if camera.scheme in _LIVE else []
+    if camera.scheme == "v4l2" and camera.file is not None:
+        device = _check_device(f"camera {name}", Path(camera.file), "video")
         if device.level != "ok":
-            return [*findings, device, _shutter(name, site.camera(name))]
-    if scheme in STREAMED and missing_packages("streams"):
+            return [*findings, device, *shutter]
+    if camera.scheme in STREAMED and missing_packages("streams"):
         return [*findings, check_extra("streams")]
-    if not missing_packages("edge"):
-        from .cameras import check_camera  # needs the edge extra
-
-        findings += check_camera(site, name)
-    if scheme in _LIVE:
-        findings.append(_shutter(name, site.camera(name)))
-    return findings + _check_boards(site, name)
-
-
-def _check_boards(site: Site, name: str) -> list[Check]:
-    """Boards in a camera's pictures that differ from the target files."""
     if missing_packages("edge"):
-        return []
-    from .boards import check_boards
+        return findings + shutter
+    from .cameras import check_boards, check_camera  # needs the edge extra
 
-    return check_boards(site, name)
+    return [*findings, *check_camera(site, name), *shutter, *check_boards(site, name)]
 
 
 def _shutter(name: str, camera: CameraConfig) -> Check:
@@ -167,10 +157,6 @@ def _shutter(name: str, camera: CameraConfig) -> Check:
     if camera.line_delay:
         text = f"rolls over a picture in {1e3 * camera.readout_s:.1f} ms, stamped at the middle row"
     return Check(f"shutter of {name}", "ok", text)
-
-
-def _device(place: str) -> Path:
-    return Path(f"/dev/video{place}" if place.isdigit() else place)
 
 
 def _no_lens(name: str) -> Check:

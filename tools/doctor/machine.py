@@ -27,6 +27,7 @@ EXTRAS: dict[str, tuple[str, ...]] = {
 }
 """Extra -> the packages that show that it is installed."""
 
+_PASSES_S = 5.0
 OLDEST_PYTHON = (3, 11)
 _GIGABYTE = 1_000_000_000
 _NOT_SYNCHRONISED = 5  # TIME_ERROR of adjtimex(2)
@@ -89,7 +90,6 @@ def _read_clock() -> tuple[int, int]:
 
 
 def check_disk(directory: Path) -> Check:
-    """Whether there is disk space for a recording."""
     existing = next(path for path in (directory, *directory.absolute().parents) if path.exists())
     free = free_bytes(existing)
     text = f"{free / _GIGABYTE:.1f} GB free in {existing.absolute()}"
@@ -117,12 +117,11 @@ def check_loopback(site: Site) -> Check:
     )
 
 
-def _passes(one: Bus, other: Bus, *, timeout_s: float = 5.0) -> bool:
-    """Whether a sample gets from one session to the other."""
+def _passes(one: Bus, other: Bus) -> bool:
     key = ODOMETRY.key("doctor", "r1")
     subscription = other.subscribe(ODOMETRY, key)
     one.publisher(ODOMETRY, key).put(b"")
-    return subscription.take(timeout_s) is not None
+    return subscription.take(_PASSES_S) is not None
 
 
 def check_ros2(site: Site) -> list[Check]:

@@ -1,11 +1,10 @@
 """What a line of `look` names: a source of pictures, their size, a target."""
 
 import re
-from collections.abc import Callable
 from pathlib import Path
 
 from trigpoint.base.errors import InputError
-from trigpoint.site.target import Face, Pattern, Target, load_target, parse_target
+from trigpoint.site.target import NOWHERE, Face, Pattern, Target, load_target, parse_target
 from trigpoint.tools.simulation.sight.targets import target_of
 from trigpoint.tools.site.file import first_target_text
 
@@ -37,11 +36,6 @@ def url_of(path: str) -> str:
     return f"{'dir' if Path(path).is_dir() else 'file'}://{path}"
 
 
-def scheme_of(url: str) -> str:
-    """What stands before ://."""
-    return url.partition("://")[0]
-
-
 def picture_size(text: str) -> tuple[int, int]:
     """Width and height, as of 1280x720; raises InputError."""
     numbers = _SIZE.fullmatch(text)
@@ -59,8 +53,11 @@ def chosen_target(text: str | None, scheme: str) -> Target:
     """
     if text is None:
         text = str(TARGET_HERE) if TARGET_HERE.exists() else "charuco"
-    if text in _NAMED:
-        return _NAMED[text](scheme)
+    if text == "charuco":
+        is_simulated = scheme == "sim"
+        return target_of(text) if is_simulated else parse_target(first_target_text())
+    if text == "checkerboard":
+        return target_of(text)
     name, _, counts = text.partition(":")
     if name == "checkerboard":
         return _counted_board(counts)
@@ -72,16 +69,6 @@ def chosen_target(text: str | None, scheme: str) -> Target:
     return load_target(Path(text))
 
 
-def _charuco(scheme: str) -> Target:
-    return target_of("charuco") if scheme == "sim" else parse_target(first_target_text())
-
-
-_NAMED: dict[str, Callable[[str], Target]] = {
-    "charuco": _charuco,
-    "checkerboard": lambda _: target_of("checkerboard"),
-}
-
-
 def _counted_board(counts: str) -> Target:
     numbers = _SIZE.fullmatch(counts)
     if numbers is None:
@@ -89,9 +76,8 @@ def _counted_board(counts: str) -> Target:
             f"--target checkerboard:{counts}: give how many squares it has, like checkerboard:10x7"
         )
     columns, rows = map(int, numbers.groups())
-    here = {"translation": (0.0, 0.0, 0.0), "quaternion": (0.0, 0.0, 0.0, 1.0)}
     try:
-        face = Face(0, Pattern.CHECKERBOARD, columns, rows, _SQUARE, **here)
+        face = Face(0, Pattern.CHECKERBOARD, columns, rows, _SQUARE, *NOWHERE)
     except ValueError as reason:
         raise InputError(f"--target checkerboard:{counts}: {reason}") from None
     return Target("board", (face,))

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import typer
 
-from trigpoint.base.clock import Clock, SystemClock, to_ns
+from trigpoint.base.clock import SystemClock, to_ns
 from trigpoint.base.ending import ENDING
 from trigpoint.base.errors import InputError, OperationError
 from trigpoint.base.words import counted
@@ -20,7 +20,7 @@ from trigpoint.node.node import stop_on_signals
 from trigpoint.site.camera_info import read_camera_info
 from trigpoint.site.config import CameraConfig
 
-from .asked import chosen_target, picture_size, scheme_of, source_url
+from .asked import chosen_target, picture_size, source_url
 from .looking import Look, Result, Wishes
 from .shown import Shown
 
@@ -86,12 +86,12 @@ def main(
     It runs until the source's end, --seconds or Ctrl-C.
     """
     url = source_url(source)
-    source_class(scheme_of(url))
     width, height = picture_size(size)
     config = CameraConfig(url, width=width, height=height, rate=rate)
+    source_class(config.scheme)
     wishes = Wishes(
         config,
-        chosen_target(target, scheme_of(url)),
+        chosen_target(target, config.scheme),
         lens=None if intrinsics is None else read_camera_info(intrinsics),
         out=_out(out, is_known=intrinsics is not None, overwrite=overwrite),
         is_global=global_shutter,
@@ -136,15 +136,14 @@ class _Teller:
     """Says what is seen: on the page five times a second, in the terminal every two seconds and
     whenever there is other advice."""
 
-    def __init__(self, *, is_json: bool, clock: Clock | None = None) -> None:
-        self._is_json, self._clock = is_json, clock or SystemClock()
+    def __init__(self, *, is_json: bool) -> None:
+        self._is_json, self._clock = is_json, SystemClock()
         self._moments = None
         self._said_ns = self._shown_ns = -_LINE_NS
         self._said: dict[str, str] = {}
         self._hints: set[str] = set()
 
     def show_on_page(self, stack: ExitStack, port: int) -> None:
-        """Serve the page until the stack is closed."""
         from .page import Moments, page_served  # --no-page needs no server
 
         self._moments = Moments()

@@ -94,7 +94,6 @@ class Guide:
         self.coverage: list[int] = [0] * FIELDS**2
 
     def look(self, views: Sequence[View], size: tuple[int, int], found: Calibration | None) -> None:
-        """Take the views so far, and the newest lens of them."""
         names = frozenset(view.name for view in views)
         if self.needs and names == self._names and found is self._found:
             return

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from msgspec.structs import replace
 
-from trigpoint.base.clock import Clock, SteadyClock, to_ns
+from trigpoint.base.clock import SteadyClock, to_ns
 from trigpoint.base.errors import InputError, OperationError
 from trigpoint.edge.image.picture import eight_bits
 from trigpoint.edge.lens.calibration import Calibration
@@ -22,12 +22,10 @@ from trigpoint.site.target import Target
 from trigpoint.tools.pictures.detect import LEAST_PICTURES, NOTHING_NEAR
 from trigpoint.tools.pictures.intrinsics import write_lens
 
-from .asked import scheme_of
 from .guidance import Guide
-from .known import KnownLens
 from .seen import MOST_BEND, Seen, Watch
 from .shown import Shown, faces_of, facts_of, lens_of, wanted_of
-from .taking import LensTaking
+from .taking import KnownLens, LensTaking
 
 _STILL_APART_NS = to_ns(1.0)
 """Pictures of a folder have no time, and nothing is followed from one to the next: they are this
@@ -79,11 +77,10 @@ Tell = Callable[[Shown, np.ndarray], None]
 class Look:
     """One source, looked at by `run` on one thread until its end or `stop`."""
 
-    def __init__(self, wishes: Wishes, tell: Tell, *, clock: Clock | None = None) -> None:
+    def __init__(self, wishes: Wishes, tell: Tell) -> None:
         self._wishes, self._tell = wishes, tell
-        self._clock = clock or SteadyClock()
         self._stopping = threading.Event()
-        self._scheme = scheme_of(wishes.config.source)
+        self._scheme = wishes.config.scheme
         self._tracker = TargetTracker([wishes.target])
         self._watch = Watch()
         self._lens = KnownLens(wishes.target, wishes.lens)
@@ -119,7 +116,7 @@ class Look:
     @contextmanager
     def _opened(self) -> Iterator[FrameSource]:
         config = self._wishes.config
-        source = open_source(config.source, config, clock=self._clock, directory=Path())
+        source = open_source(config.source, config, clock=SteadyClock(), directory=Path())
         timer = threading.Timer(self._wishes.seconds or 0.0, self.stop)
         try:
             self._lens.hear(source.intrinsics)
@@ -232,14 +229,12 @@ class Look:
         return Result(*counts, found, self._written, missing, hints)
 
     def _missing(self) -> str:
-        """Why there is no lens."""
         if not self._with_target:
             return "; ".join(self._tracker.misdescribed) or "the board was not seen"
         seen = f"the board was seen in {self._with_target} of {self._pictures} pictures"
         return f"{seen}; {self._taking.missing}"
 
     def _over(self, shown: Shown, missing: str) -> Shown:
-        """The last moment."""
         found = self._taking.found
         words = f"the lens is in {self._wishes.out}" if self._written else missing
         return replace(

@@ -62,7 +62,6 @@ class Shown(Struct, frozen=True):
 
     @property
     def line(self) -> str:
-        """The facts in one line."""
         facts = "; ".join(f"{what} {value}" for what, value in self.facts)
         return f"picture {self.number}: {facts}"
 
@@ -97,7 +96,6 @@ def wanted_of(needs: Sequence[Need]) -> list[Wanted]:
 
 
 def lens_of(found: Calibration) -> Lens:
-    """A lens with its RMS and sigmas."""
     camera, known = found.camera, found.known
     names = parameter_names(camera.model)
     rows = [

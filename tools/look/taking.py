@@ -7,10 +7,12 @@ from trigpoint.base.ending import ENDING
 from trigpoint.base.errors import OperationError
 from trigpoint.contract.messages import FaceSighting
 from trigpoint.edge.lens.calibration import FEWEST_VIEWS, Calibration, calibrate
+from trigpoint.edge.lens.calibration_fit import place
 from trigpoint.edge.lens.calibration_looks import SAME_SHARE
 from trigpoint.edge.lens.calibration_service import CalibrationService
 from trigpoint.edge.lens.calibration_text import THINLY_COVERED, covered_share, has_good_focal
-from trigpoint.edge.lens.calibration_views import View
+from trigpoint.edge.lens.calibration_views import View, views_of
+from trigpoint.geometry import CameraModel
 from trigpoint.site.target import Target
 
 FEWEST = 6
@@ -42,7 +44,6 @@ class LensTaking:
 
     @property
     def views(self) -> tuple[View, ...]:
-        """Those that are kept."""
         return self._store.views
 
     @property
@@ -53,14 +54,12 @@ class LensTaking:
 
     @property
     def missing(self) -> str:
-        """Why there is none."""
         if self.found is not None and self.found.doubts:
             return "; ".join(str(doubt) for doubt in self.found.doubts)
         return self.trouble or f"{len(self.views)} different views are too few for a lens"
 
     @property
     def is_working(self) -> bool:
-        """Whether a lens is being worked out."""
         return self._trial is not None
 
     def offer(self, faces: Sequence[FaceSighting], size: tuple[int, int]) -> None:
@@ -124,3 +123,30 @@ class LensTaking:
         is_covered = covered_share(self.found) >= THINLY_COVERED
         if not self.found.doubts and is_covered and has_good_focal(self.found):
             self.good = self.found
+
+
+class KnownLens:
+    """Which lens is known of the camera, by whom, and how well it fits. For one thread; `given`:
+    the lens that the user gave."""
+
+    def __init__(self, target: Target, given: CameraModel | None) -> None:
+        self._target, self._camera = target, given
+        self._by = "given" if given is not None else ""
+
+    def hear(self, own: CameraModel | None) -> None:
+        """Take the source's own lens where none was given."""
+        if self._camera is None and own is not None:
+            self._camera, self._by = own, "by the source"
+
+    def take(self, camera: CameraModel, where: str) -> None:
+        """Take the one that was worked out, and written there."""
+        self._camera, self._by = camera, f"in {where}"
+
+    def words(self, seen: FaceSighting | None) -> str:
+        """Whether it is known, and by how much it misses the corners that are seen."""
+        if self._camera is None:
+            return "not known yet"
+        views = [] if seen is None else views_of("", [seen], [self._target])
+        placed = place(self._camera, views[0]) if views else None
+        fits = f"; it fits this picture to {placed.rms_px:.2f} px a corner" if placed else ""
+        return f"known, {self._by}{fits}"

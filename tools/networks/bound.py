@@ -10,10 +10,10 @@ from trigpoint.fusion.intake.message_intake import Intake
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.inputs import Inputs
 from trigpoint.fusion.model.problem import CameraState
-from trigpoint.geometry import Pose
 from trigpoint.map.network import load_tum
 from trigpoint.recorder.session.recording import Recording
 from trigpoint.tools.sessions.messages import messages_of
+from trigpoint.tools.simulation.motion.way import poses_at
 
 from .cramer_rao import Bound, Oracle, cramer_rao
 from .truth import load_truth
@@ -51,13 +51,3 @@ def session_bound(recording: Recording, inputs: Inputs, folder: Path) -> Bound:
         if name in data.lenses
     }
     return cramer_rao(data, Oracle(cameras, places))
-
-
-def poses_at(stamps_ns: np.ndarray, poses: Pose, moments_ns: np.ndarray) -> Pose:
-    """Poses (m) at moments between those of a trajectory: from the one before, the same share of
-    the step's translation and turn; the nearest one beyond its ends."""
-    rows = np.clip(np.searchsorted(stamps_ns, moments_ns, "right") - 1, 0, len(stamps_ns) - 2)
-    gap = stamps_ns[rows + 1] - stamps_ns[rows]
-    share = np.clip((moments_ns - stamps_ns[rows]) / gap, 0.0, 1.0)
-    before = poses[rows]
-    return before.disturbed(poses[rows + 1].difference(before) * share[:, None])

@@ -116,16 +116,20 @@ def main(
     if measured is None:
         if len(found.located) < 2:
             raise InputError(f"{network}: fewer than two cameras are located; there is no distance")
-        every = distances(found, covariance, itertools.combinations(found.located, 2))
+        every = distances(found, covariance)
         typer.echo(_as_json(_rows(every)) if json else _table(every))
         return
     compared = compare(found, covariance, read_measured(measured, found, sigma_m=tape_sigma))
     typer.echo(_compared_json(compared) if json else _compared_table(compared))
 
 
-def distances(network: Network, covariance: Array, pairs: Iterable[tuple[str, str]]) -> Distances:
-    """Of pairs of located cameras; `covariance`: joint, (6n, 6n), in the order of `located`."""
-    chosen, order = tuple(pairs), {name: i for i, name in enumerate(network.located)}
+def distances(
+    network: Network, covariance: Array, pairs: Iterable[tuple[str, str]] | None = None
+) -> Distances:
+    """Of pairs of located cameras, or all of them; `covariance`: joint, (6n, 6n), in the order of
+    `located`."""
+    order = {name: i for i, name in enumerate(network.located)}
+    chosen = tuple(itertools.combinations(order, 2) if pairs is None else pairs)
     places = np.array([_place(network, name) for name in order]).reshape(-1, 3)
     ends = np.array([(order[a], order[b]) for a, b in chosen], dtype=int).reshape(-1, 2)
     return Distances(chosen, *joint_distances(places, covariance, ends))

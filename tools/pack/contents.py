@@ -17,8 +17,6 @@ PUBLIC, PRIVATE, EXECUTABLE = 0o644, 0o600, 0o755
 
 @dataclass(frozen=True, slots=True)
 class Packed:
-    """One file of an archive."""
-
     path: str
     data: bytes
     mode: int = PUBLIC

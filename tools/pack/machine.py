@@ -10,9 +10,9 @@ from msgspec import structs
 
 from trigpoint import __version__
 from trigpoint.base.errors import ConfigError, InputError
-from trigpoint.contract.access import Kind
+from trigpoint.contract.access import Kind, identity_in
 from trigpoint.edge.sources.frames import STREAMED
-from trigpoint.site.config import BusConfig, Site, check_name, parse_site
+from trigpoint.site.config import BusConfig, Site, parse_site
 from trigpoint.tools.site.systemd_units import UNITS, Unit
 
 
@@ -26,21 +26,8 @@ class Role(StrEnum):
     ROUTER = "router"
 
 
-_UNIT_NAMES = {
-    Role.CAMERA: "trigpoint-edge@",
-    Role.ROBOT: "trigpoint-robot@",
-    Role.FUSION: "trigpoint-fusion",
-    Role.RECORDER: "trigpoint-recorder",
-    Role.ROUTER: "trigpoint-router",
-}
-_EXTRAS = {
-    Role.CAMERA: ("edge",),
-    Role.ROBOT: ("robot",),
-    Role.FUSION: ("fusion",),
-    Role.RECORDER: ("recorder",),
-    Role.ROUTER: (),
-}
-_FIXED_NAMES = {Role.FUSION: "fusion", Role.RECORDER: "main"}
+_EXTRAS = {Role.CAMERA: ("edge",), Role.ROUTER: ()}
+"""What of the program is installed where that is not called like the role."""
 _BUS_TABLE = re.compile(r"^\[bus\][^\n]*\n(?:(?!\[).*\n?)*", re.MULTILINE)
 _ENDPOINTS = re.compile(
     r"""^(?:connect|listen)\s*=\s*\[(?:[^\]"']|"[^"]*"|'[^']*')*\][^\n]*\n?""", re.MULTILINE
@@ -57,22 +44,13 @@ class Node:
     @classmethod
     def of(cls, site: Site, role: Role, name: str) -> "Node":
         """A node of the site file; raises ConfigError or InputError where there is none."""
-        if role is Role.CAMERA:
-            site.camera(name)
-        elif role is Role.ROBOT:
-            site.robot(name)
-        elif role is Role.ROUTER:
-            check_name(Kind.ROUTER, name)
-        elif name != _FIXED_NAMES[role]:
-            raise InputError(
-                f"a site's {role} is called {_FIXED_NAMES[role]}; write {role} {_FIXED_NAMES[role]}"
-            )
+        identity_in(site, Kind(role.value), name)
         return cls(role, name)
 
     @property
     def unit(self) -> Unit:
         """Its unit for systemd; a router's says its name."""
-        [unit] = (unit for unit in UNITS if unit.name == _UNIT_NAMES[self.role])
+        [unit] = (unit for unit in UNITS if unit.kind.value == self.role.value)
         if self.role is Role.ROUTER:
             return replace(unit, words=f"{unit.words} --name {self.name}")
         return unit
@@ -83,17 +61,12 @@ class Node:
         return f"{self.unit.name}{self.name}" if self.unit.name.endswith("@") else self.unit.name
 
     def extras(self, site: Site) -> tuple[str, ...]:
-        """What of the program is installed."""
-        extras = _EXTRAS[self.role]
-        if self.role is Role.CAMERA and _scheme(site, self.name) in STREAMED:
+        extras = _EXTRAS.get(self.role, (self.role.value,))
+        if self.role is Role.CAMERA and site.camera(self.name).scheme in STREAMED:
             extras += ("streams",)
         if self.role is Role.ROBOT and site.robot(self.name).protocol_name == "mavlink":
             extras += ("mavlink",)
         return extras if site.bus.tls is None else (*extras, "secure")
-
-
-def _scheme(site: Site, camera: str) -> str:
-    return site.camera(camera).source.partition("://")[0]
 
 
 def site_that_connects(site: Site, endpoint: str) -> Site:

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from trigpoint.geometry.rotation import Array
 
-from .svg import element, group, line, text
+from .svg import drawing, element, group, line, text
 
 LEFT, RIGHT, TOP, BOTTOM = 46.0, 14.0, 14.0, 34.0
 
@@ -48,8 +48,6 @@ def _round_step(step: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Axes:
-    """A chart's two scales and its size in the drawing."""
-
     width: float
     height: float
     across: Scale
@@ -85,8 +83,20 @@ class Axes:
             for i in np.flatnonzero(counts)
         ]  # fmt: skip
 
-    def frame(self, x_title: str, y_title: str, *, names: Sequence[tuple[str, str]] = ()) -> str:
-        """Grid, labels and titles; `names`: pairs that stand at 0, 1, … in place of numbers."""
+    def chart(
+        self,
+        x_title: str,
+        y_title: str,
+        *content: str,
+        label: str,
+        names: Sequence[tuple[str, str]] = (),
+    ) -> str:
+        """The drawing with its grid, labels and titles below the `content`; `names`: pairs that
+        stand at 0, 1, … in place of numbers."""
+        frame = self._frame(x_title, y_title, names)
+        return drawing(self.width, self.height, frame, *content, label=label, class_="chart")
+
+    def _frame(self, x_title: str, y_title: str, names: Sequence[tuple[str, str]]) -> str:
         left, right = self.across.start, self.across.end
         bottom = self.up.start
         parts = []

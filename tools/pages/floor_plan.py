@@ -4,7 +4,6 @@ import base64
 import io
 
 import numpy as np
-from PIL import Image
 
 from trigpoint.geometry.rotation import Array
 from trigpoint.map.building import Building
@@ -29,12 +28,10 @@ def picture_on_map(pixels: np.ndarray, corners: Array, plan: Plan, *, class_: st
     """A picture, grey (rows, columns) or with colours and opacity (rows, columns, 4), uint8, where
     its corners (4, 2) lie in the map: counter-clockwise from the lower left one."""
     rows, columns = pixels.shape[:2]
-    low, right, _, top = plan(corners)
-    across, down = (right - low) / columns, (low - top) / rows
-    matrix = " ".join(f"{value:.6g}" for value in (*across, *down, *top))
+    matrix = " ".join(f"{value:.6g}" for value in picture_matrix(plan(corners), columns, rows))
     return element(
         "image",
-        href=f"data:image/png;base64,{_png(pixels)}",
+        href=f"data:image/png;base64,{base64.b64encode(png(pixels)).decode()}",
         width=columns,
         height=rows,
         transform=f"matrix({matrix})",
@@ -43,7 +40,17 @@ def picture_on_map(pixels: np.ndarray, corners: Array, plan: Plan, *, class_: st
     )
 
 
-def _png(pixels: np.ndarray) -> str:
-    data = io.BytesIO()
-    Image.fromarray(pixels).save(data, "png", optimize=True)
-    return base64.b64encode(data.getvalue()).decode()
+def picture_matrix(corners: Array, columns: int, rows: int) -> list[float]:
+    """A picture's columns and rows to where its corners (4, 2) lie, counter-clockwise from the
+    lower left one: six numbers, as SVG orders them."""
+    low, right, _, top = corners
+    return [float(value) for value in (*(right - low) / columns, *(low - top) / rows, *top)]
+
+
+def png(pixels: np.ndarray, *, colours: int = 0) -> bytes:
+    """A picture's file; `colours`: how many shades of grey are enough, 0: as many as it has."""
+    from PIL import Image  # half of those who draw pages draw no pictures
+
+    picture, data = Image.fromarray(pixels), io.BytesIO()
+    (picture.quantize(colours) if colours else picture).save(data, "png", optimize=True)
+    return data.getvalue()

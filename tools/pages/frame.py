@@ -2,8 +2,8 @@
 
 from collections.abc import Iterable, Sequence
 from html import escape
+from importlib import resources
 
-from .style import STYLE
 from .svg import element
 
 _MARK = (
@@ -23,7 +23,10 @@ def html_page(title: str, *sections: str, headline: str, lead: str, footer: str)
         '<meta charset="utf-8">',
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
         element("title", escape(title)),
-        element("style", STYLE),
+        element(
+            "style",
+            resources.files("trigpoint.tools.pages").joinpath("style.css").read_text("utf-8"),
+        ),
     )
     header = element(
         "header",
@@ -41,7 +44,6 @@ def section(title: str, *content: str) -> str:
 
 
 def note(words: str) -> str:
-    """A paragraph that explains."""
     return element("p", escape(words), class_="note")
 
 
@@ -61,7 +63,6 @@ def tiles(*shown: str) -> str:
 
 
 def tile(number: str, words: str, *, is_bad: bool = False) -> str:
-    """A number with what it means."""
     kind = "tile bad" if is_bad else "tile"
     return element("div", element("b", escape(number)), element("span", escape(words)), class_=kind)
 

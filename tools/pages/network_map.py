@@ -13,8 +13,8 @@ from trigpoint.map.network import AlternativeRecord, CameraRecord
 from .floor_plan import floor_plan_image
 from .frame import legend, wide_and_upright
 from .plan import MARGIN, Plan, suggestion_marks
-from .style import PALETTE
 from .svg import (
+    camera_colour,
     circle,
     drawing,
     element,
@@ -106,12 +106,11 @@ class NetworkMap:
     @property
     def _marked(self) -> list["_Camera"]:
         return [
-            _Camera(name, record, self.truth.get(name), f"k{index % PALETTE}")
+            _Camera(name, record, self.truth.get(name), camera_colour(index))
             for index, (name, record) in enumerate(self.cameras.items())
         ]
 
     def _meanings(self, factor: int) -> Iterator[tuple[str, str]]:
-        """Each mark on the map, and what it means."""
         kinds = {way.kind: way.words for way in self.ways}
         for kind, words in kinds.items():
             yield polyline(np.array([[2.0, 7.0], [32.0, 7.0]]), class_=f"way {kind}"), words

@@ -72,15 +72,12 @@ def histogram_drawing(residuals: CameraResiduals, *, name: str) -> tuple[str, st
     normal = np.exp(-(across**2) / 2) / np.sqrt(2 * np.pi) * len(values) * (edges[1] - edges[0])
     top = max(float(counts.max()), float(normal.max())) * 1.12
     axes = Axes.of(_WIDTH, 300.0, x=(-_REACH, _REACH), y=(0.0, top))
-    bars = axes.bars(counts, edges)
-    chart = drawing(
-        _WIDTH,
-        300.0,
-        axes.frame("residual of a coordinate, in sigmas", "coordinates"),
-        *bars,
+    chart = axes.chart(
+        "residual of a coordinate, in sigmas",
+        "coordinates",
+        *axes.bars(counts, edges),
         polyline(axes.points(across, normal), class_="normal"),
         label=f"Histogram of the residuals of camera {name} in sigmas",
-        class_="chart",
     )
     words = (
         f"Standard deviation {np.std(values):.2f} sigmas, mean {np.mean(values):+.2f}; the line is "

@@ -7,6 +7,7 @@ import numpy as np
 from trigpoint.geometry.rotation import Array
 
 _NICE = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
+_COLOURS = 8  # of cameras, k0 … k7 in style.css
 
 
 def element(name: str, *content: str, **attributes: object) -> str:
@@ -50,6 +51,11 @@ def group(*content: str, **attributes: object) -> str:
     return element("g", *content, **attributes)
 
 
+def camera_colour(number: int) -> str:
+    """The class of a camera's marks, by its place among the cameras."""
+    return f"k{number % _COLOURS}"
+
+
 def drawing(width: float, height: float, *content: str, label: str, **attributes: object) -> str:
     """A whole drawing that scales with the page; `label` says what it shows."""
     box = f"0 0 {_value(float(width))} {_value(float(height))}"
@@ -58,10 +64,10 @@ def drawing(width: float, height: float, *content: str, label: str, **attributes
     )  # no xmlns: it stands in a page
 
 
-def ellipse_points(centre: Array, covariance: Array, sigmas: float, count: int = 48) -> Array:
-    """The outline of a 2 × 2 covariance at `sigmas` around a centre (2,); (count, 2)."""
+def ellipse_points(centre: Array, covariance: Array, sigmas: float) -> Array:
+    """The outline of a 2 × 2 covariance at `sigmas` around a centre (2,); (48, 2)."""
     values, vectors = np.linalg.eigh(covariance)
-    angles = np.linspace(0, 2 * np.pi, count, endpoint=False)
+    angles = np.linspace(0, 2 * np.pi, 48, endpoint=False)
     unit = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     return centre + sigmas * (unit * np.sqrt(np.maximum(values, 0))) @ vectors.T
 

@@ -25,8 +25,6 @@ class Output(Protocol):
 
 
 class LogFile:
-    """A file for each part, which is appended to."""
-
     def __init__(self, path: Path) -> None:
         self._path = path
 

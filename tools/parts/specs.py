@@ -4,6 +4,7 @@ import shutil
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 
 from .supervisor import PartSpec
@@ -23,28 +24,33 @@ def trigpoint(*words: str) -> tuple[str, ...]:
     return (*_PYTHON, "trigpoint", *words)
 
 
-def agent(cameras: Sequence[str], site: str) -> PartSpec:
-    """The agent of one or several cameras."""
-    chosen = [word for camera in cameras for word in ("--camera", camera)]
-    command = trigpoint("edge", "--site", site, *chosen)
-    return PartSpec(f"edge {' '.join(cameras)}", command, AGENTS)
-
-
-def bridge(robot: str, site: str) -> PartSpec:
-    """The serial bridge of a robot."""
-    return PartSpec(f"robot {robot}", trigpoint("robot", "--site", site, "--robot", robot), BRIDGES)
+def nodes(
+    site: str, *, cameras: Sequence[str], robots: Sequence[str], agents: int, out: str = ""
+) -> list[PartSpec]:
+    """Recorder and fusion, which are slow to start and write to `out` if it is given; the cameras'
+    agents, so many processes at most; and the robots' bridges."""
+    to = ("--out", out) if out else ()
+    specs = [
+        PartSpec("recorder", trigpoint("record", "--site", site, *to), RECORDER),
+        PartSpec("fusion", trigpoint("fusion", "--site", site, *to), FUSION),
+    ]
+    for share in shares(cameras, agents):
+        chosen = [word for camera in share for word in ("--camera", camera)]
+        command = trigpoint("edge", "--site", site, *chosen)
+        specs.append(PartSpec(f"edge {' '.join(share)}", command, AGENTS))
+    for robot in robots:
+        command = trigpoint("robot", "--site", site, "--robot", robot)
+        specs.append(PartSpec(f"robot {robot}", command, BRIDGES))
+    return specs
 
 
 def firmware(robot: str, *, epoch_ns: int, link: Path, **options: object) -> PartSpec:
     """A simulated robot behind a pseudo-terminal, to which `link` leads; `options`: those of the
     firmware beside, like world, seed, target, log and protocol."""
     said = {"robot": robot, "epoch_ns": epoch_ns, "link": link, **options}
-    words = [w for name, value in said.items() for w in (_option(name), str(value))]
-    return PartSpec(f"firmware {robot}", (*_PYTHON, _FIRMWARE_MODULE, *words), FIRMWARE)
-
-
-def _option(name: str) -> str:
-    return f"--{name.replace('_', '-')}"
+    pairs = ((f"--{name.replace('_', '-')}", str(value)) for name, value in said.items())
+    command = (*_PYTHON, _FIRMWARE_MODULE, *chain.from_iterable(pairs))
+    return PartSpec(f"firmware {robot}", command, FIRMWARE)
 
 
 def shares(names: Sequence[str], count: int) -> list[list[str]]:

@@ -49,7 +49,6 @@ class Part:
 
     @property
     def number(self) -> int:
-        """The process's id."""
         assert self._process is not None
         return self._process.pid
 
@@ -90,7 +89,6 @@ class Part:
         return self._process is not None and (self._process.poll() or 0) > 0
 
     def send(self, number: signal.Signals) -> None:
-        """Signal the process if it lives."""
         if self._process is not None:
             self._process.send_signal(number)
 
@@ -121,7 +119,6 @@ class Supervisor(Closing):
         self.parts = [Part(spec, output(spec.name)) for spec in specs]
         self._say = say
         self._stop_s = STOP_S if stop_s is None else stop_s
-        self.killed: list[str] = []
 
     def __enter__(self) -> Self:
         try:
@@ -202,7 +199,6 @@ class Supervisor(Closing):
             if not part.wait(deadline_s):
                 part.send(signal.SIGKILL)
                 part.wait(time.monotonic() + STOP_S)
-                self.killed.append(part.spec.name)
                 self._say(f"{part.spec.name} did not stop in {self._stop_s:.0f} s and was killed")
 
     def _kill(self) -> None:

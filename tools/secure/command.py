@@ -7,11 +7,11 @@ from typing import Annotated
 
 import typer
 
-from trigpoint.base.errors import InputError, writing
+from trigpoint.base.errors import writing
 from trigpoint.bus.settings import router_settings
-from trigpoint.contract.access import Identity, Kind
+from trigpoint.contract.access import Kind, identity_in
 from trigpoint.security.credentials import CORRECTIONS, TRUST, WARNING, door
-from trigpoint.site.config import Site, TlsConfig, check_name, load_site
+from trigpoint.site.config import Site, TlsConfig, load_site
 from trigpoint.site.option import SITE_FILE, SiteFile
 
 from .authority import Authority, Listed, addresses_of
@@ -53,7 +53,7 @@ def node(
 ) -> None:
     """Make one node's key and certificate, and let it in."""
     loaded = load_site(site)
-    identity = _identity(loaded, kind, name)
+    identity = identity_in(loaded, kind, name)
     addresses = addresses_of(kind, address or ())
     files = _authority(loaded, authority).issue(identity, days, addresses)
     typer.echo(f"{identity.common_name} may come in for {days} days")
@@ -76,7 +76,7 @@ def renew(
     A router that is to be reached elsewhere gets all its addresses anew by --address.
     """
     loaded = load_site(site)
-    identity = _identity(loaded, kind, name, is_known=True)
+    identity = identity_in(loaded, kind, name, is_known=True)
     addresses = addresses_of(kind, address) if address else ()
     file = _authority(loaded, authority).renew(identity, days, addresses)
     typer.echo(f"{identity.common_name} is good for {days} days; copy {file} to its machine")
@@ -87,7 +87,7 @@ def revoke(
 ) -> None:
     """End a node's certificate before its time."""
     loaded = load_site(site)
-    identity = _identity(loaded, kind, name, is_known=True)
+    identity = identity_in(loaded, kind, name, is_known=True)
     found = _authority(loaded, authority)
     found.revoke(identity)
     typer.echo(f"{identity.common_name} is out once every machine that listens has {found.trust}")
@@ -159,18 +159,6 @@ def _state(one: Listed) -> str:
         return "revoked"
     left = one.until - datetime.now(UTC)
     return "expired" if left.total_seconds() <= 0 else "expiring" if left <= WARNING else "ok"
-
-
-def _identity(site: Site, kind: Kind, name: str, *, is_known: bool = False) -> Identity:
-    check_name(kind, name)
-    if not is_known and kind is Kind.CAMERA:
-        site.camera(name)
-    if not is_known and kind is Kind.ROBOT:
-        site.robot(name)
-    only = {Kind.FUSION: "fusion", Kind.RECORDER: "main"}.get(kind, name)
-    if name != only:
-        raise InputError(f"a site's {kind} is called «{only}»; write {kind} {only}")
-    return Identity(site.name, kind, name)
 
 
 def _authority(site: Site, folder: Path | None) -> Authority:

@@ -42,8 +42,6 @@ def main(
 
 
 class Router:
-    """Runs until it is stopped."""
-
     def __init__(self, site: Site, others: Sequence[Site], name: str) -> None:
         self._site, self._others, self._name = site, others, name
         self._node: Node | None = None

@@ -75,7 +75,6 @@ def _words(times: Sequence[int]) -> str:
 
 
 def messages_of(recording: Recording) -> SessionMessages:
-    """The messages of a recorded session."""
     found = SessionMessages()
     for sample in recording.samples(_TOPICS):
         node = topics.node_of(sample.key)

@@ -2,7 +2,6 @@
 
 import threading
 from collections.abc import Iterator
-from dataclasses import dataclass
 from urllib.parse import parse_qs, urlsplit
 
 from trigpoint.base.clock import Clock, to_ns, to_seconds
@@ -12,7 +11,6 @@ from trigpoint.geometry import CameraModel
 from trigpoint.site.config import CameraConfig
 
 from .drawing.rendering import CameraRenderer
-from .motion.actors import SimulatedCamera
 from .world import load_world
 
 _KEYS = ("world", "seed", "epoch_ns", "target")
@@ -28,21 +26,21 @@ class SimulatedFrames:
 
     def __init__(self, url: str, camera: CameraConfig, *, clock: Clock) -> None:
         """Raises FrameError where the URL names nothing that is there."""
-        address = _address(url)
+        name, options = _address(url)
         self._clock = clock
-        self._epoch_ns = clock.now_ns() if address.epoch_ns is None else address.epoch_ns
+        self._epoch_ns = _whole_number(url, "epoch_ns", options.get("epoch_ns", clock.now_ns()))
+        seed = _whole_number(url, "seed", options.get("seed", 0))
         try:
-            world = load_world(address.world, seed=address.seed, target=address.target)
-            self._camera = world.camera(address.camera)
+            world = load_world(options.get("world", "lab"), seed=seed, target=options.get("target"))
+            self._camera = world.camera(name)
         except InputError as reason:
             raise FrameError(f"source {url}: {reason}") from None
         _check_size(url, self._camera.model, camera)
-        self._renderer = CameraRenderer(world, address.camera)
+        self._renderer = CameraRenderer(world, name)
         self._skipped = 0
 
     @property
     def intrinsics(self) -> CameraModel | None:
-        """The simulated lens."""
         return self._camera.model
 
     @property
@@ -78,24 +76,12 @@ class SimulatedFrames:
         return False
 
     def _captured_ns(self, index: int) -> int:
-        return captured_ns(self._camera, index, self._epoch_ns)
+        """The middle of a picture's exposure, Unix time."""
+        return self._epoch_ns + to_ns(float(self._camera.time_of(index)))
 
 
-def captured_ns(camera: SimulatedCamera, index: int, epoch_ns: int) -> int:
-    """The middle of a picture's exposure, Unix time."""
-    return epoch_ns + to_ns(float(camera.time_of(index)))
-
-
-@dataclass(frozen=True, slots=True)
-class _Address:
-    camera: str
-    world: str
-    seed: int
-    epoch_ns: int | None
-    target: str | None
-
-
-def _address(url: str) -> _Address:
+def _address(url: str) -> tuple[str, dict[str, str]]:
+    """The camera's name, and what the world is."""
     parts = urlsplit(url)
     options = parse_qs(parts.query, keep_blank_values=True)
     unknown = next((key for key in options if key not in _KEYS), None)
@@ -103,19 +89,10 @@ def _address(url: str) -> _Address:
         raise FrameError(f"source {url}: unknown key «{unknown}»; known are {', '.join(_KEYS)}")
     if not parts.netloc:
         raise FrameError(f"source {url}: names no camera; write sim://c1?world=lab&seed=1")
-    values = {key: value[-1] for key, value in options.items()}
-    return _Address(
-        camera=parts.netloc,
-        world=values.get("world", "lab"),
-        seed=_whole_number(url, "seed", values.get("seed", "0")),
-        epoch_ns=_whole_number(url, "epoch_ns", values["epoch_ns"])
-        if "epoch_ns" in values
-        else None,
-        target=values.get("target"),
-    )
+    return parts.netloc, {key: values[-1] for key, values in options.items()}
 
 
-def _whole_number(url: str, key: str, text: str) -> int:
+def _whole_number(url: str, key: str, text: str | int) -> int:
     try:
         return int(text)
     except ValueError:

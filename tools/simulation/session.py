@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import closing
-from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
@@ -23,12 +23,8 @@ _DETECTION_NS = to_ns(0.02)  # from exposure to the recorder
 _SERIAL_NS = to_ns(0.002)  # from encoder reading to the recorder
 
 
-@dataclass(frozen=True, slots=True)
-class _Item:
-    received_ns: int
-    topic: Topic
-    key: str
-    message: Message
+_Item = tuple[int, Topic, str, Message]
+"""When the recorder gets it, ns, its topic, and whose message it is."""
 
 
 def write_session(world: World, directory: Path) -> dict[str, int]:
@@ -44,55 +40,35 @@ def write_session(world: World, directory: Path) -> dict[str, int]:
             write_truth(world, directory, epoch_ns=EPOCH_NS)
         for path in [site, *sorted(directory.glob("*target.toml"))]:
             writer.attach(path.name, path.read_bytes(), "application/toml", time_ns=EPOCH_NS)
-        for item in sorted(_told(world), key=lambda item: item.received_ns):
-            payload, received_ns = cdr.encode(item.message), item.received_ns
-            writer.add(item.topic, item.key, payload, log_ns=received_ns, published_ns=received_ns)
+        for received_ns, topic, node, message in sorted(_told(world), key=itemgetter(0)):
+            key, payload = topic.key(world.site_name, node), cdr.encode(message)
+            writer.add(topic, key, payload, log_ns=received_ns, published_ns=received_ns)
     return writer.counts
 
 
 def _told(world: World) -> Iterator[_Item]:
     """The items, with a word on how far their drawing is: sightings take nearly all of it."""
-    pictures = sum(_count(world, camera) for camera in world.cameras)
+    pictures = sum(len(eye.picture_times(world.duration_s)) for eye in world.cameras.values())
     with closing(Progress("simulate", pictures)) as progress:
         for item in _items(world):
-            progress.step(item.topic is topics.SIGHTINGS)
+            progress.step(item[1] is topics.SIGHTINGS)
             yield item
 
 
 def _items(world: World) -> Iterator[_Item]:
-    for camera in world.cameras:
-        yield _camera_info(world, camera)
-        yield from _sightings(world, camera)
-    for robot in world.robots:
-        yield from _odometry(world, robot)
+    for name, eye in world.cameras.items():
+        frame, size = f"{name}/optical", (eye.model.width, eye.model.height)
+        yield EPOCH_NS, topics.CAMERA_INFO, name, CameraInfo(EPOCH_NS, frame, eye.model)
+        times_s = eye.picture_times(world.duration_s)
+        for t_s, stamp_ns in zip(times_s.tolist(), _stamps(times_s), strict=True):
+            message = Sightings(stamp_ns, frame, *size, world.sightings(name, t_s))
+            yield stamp_ns + _DETECTION_NS, topics.SIGHTINGS, name, message
+    for name in world.robots:
+        log = world.odometry(name)
+        for i, stamp_ns in enumerate(_stamps(log.stamps_s)):
+            message = Odometry(stamp_ns, f"{name}/odom", f"{name}/base", log.poses[i])
+            yield stamp_ns + _SERIAL_NS, topics.ODOMETRY, name, message
 
 
-def _camera_info(world: World, camera: str) -> _Item:
-    message = CameraInfo(EPOCH_NS, f"{camera}/optical", world.cameras[camera].model)
-    key = topics.CAMERA_INFO.key(world.site_name, camera)
-    return _Item(EPOCH_NS, topics.CAMERA_INFO, key, message)
-
-
-def _sightings(world: World, camera: str) -> Iterator[_Item]:
-    eye, topic = world.cameras[camera], topics.SIGHTINGS
-    size = (eye.model.width, eye.model.height)
-    times_s = eye.time_of(np.arange(_count(world, camera)))
-    for t_s, stamp_ns in zip(times_s, stamps_ns(times_s, EPOCH_NS), strict=True):
-        faces = world.sightings(camera, float(t_s))
-        message = Sightings(int(stamp_ns), f"{camera}/optical", *size, faces)
-        key = topic.key(world.site_name, camera)
-        yield _Item(int(stamp_ns) + _DETECTION_NS, topic, key, message)
-
-
-def _count(world: World, camera: str) -> int:
-    """How many pictures a camera takes."""
-    eye = world.cameras[camera]
-    return int(np.floor((world.duration_s - eye.phase) * eye.rate)) + 1
-
-
-def _odometry(world: World, robot: str) -> Iterator[_Item]:
-    log, topic = world.odometry(robot), topics.ODOMETRY
-    for i, stamp_ns in enumerate(stamps_ns(log.stamps_s, EPOCH_NS)):
-        message = Odometry(int(stamp_ns), f"{robot}/odom", f"{robot}/base", log.poses[i])
-        key = topic.key(world.site_name, robot)
-        yield _Item(int(stamp_ns) + _SERIAL_NS, topic, key, message)
+def _stamps(times_s: np.ndarray) -> list[int]:
+    return stamps_ns(times_s, EPOCH_NS).tolist()

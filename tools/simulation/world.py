@@ -7,7 +7,7 @@ named by the seed, by what it is for and by whom, so that nothing depends on the
 
 import itertools
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeVar
 
@@ -24,22 +24,25 @@ from trigpoint.site.target import Target
 from .motion.actors import SimulatedCamera, SimulatedRobot
 from .motion.odometry import OdometryLog, chained, drawn_scales, reported
 from .motion.path import Drive, rounded_path
-from .sight.rolling import rolled
 from .sight.seen_corners import SeenFace, Wall, seen_faces_each, told_name
 from .sight.targets import target_of
 from .world_file import CameraSpec, RobotSpec, WorldFile, load_world_file
 
 _Item = TypeVar("_Item")
+# Each round is nearer by the robot's motion in the picture over the readout's, below 1 in 100.
+_ROLLED_ROUNDS = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shown:
-    """A sighting and what it shows: a robot's face, by the half turn where `is_turned`."""
+    """A sighting, and what an oracle knows of it: the robot's face, by the half turn where
+    `is_turned`, and which corners (n,) bool have nothing but their noise."""
 
     sighting: FaceSighting
     robot: str
     face: int
     is_turned: bool
+    is_good: np.ndarray
 
 
 class World:
@@ -79,7 +82,6 @@ class World:
         return _pick(self.robots, name, "robot", self.name)
 
     def target(self, robot: str) -> Target:
-        """What a robot carries."""
         return self.robot(robot).target
 
     def map_from_base(self, robot: str, t_s: ArrayLike) -> Pose:
@@ -109,7 +111,7 @@ class World:
                 tuple((other.carried, other.map_from_base(part_s)) for other in others),
             )
             for t_s, seen in zip(part_s.tolist(), faces, strict=True):
-                found.append([rolled(face, eye, shown, t_s) for face in seen])
+                found.append([_rolled(face, eye, shown, t_s) for face in seen])
         return found
 
     def sightings(self, camera: str, t_s: float) -> tuple[FaceSighting, ...]:
@@ -129,7 +131,6 @@ class World:
         return found
 
     def random(self, purpose: str, owner: str, index: int = 0) -> np.random.Generator:
-        """The random stream of a purpose."""
         names = [zlib.crc32(text.encode()) for text in (purpose, owner)]
         return np.random.default_rng([self.seed, *names, index])
 
@@ -163,7 +164,8 @@ class World:
         target = self.target(robot)
         name = told_name(target, (self.target(other) for other in self.robots if other != robot))
         sighting = seen.sighting(target, name, pixels[:: -1 if turned else 1], sigma)
-        return Shown(sighting, robot, face.id, turned)
+        is_good = np.ones(len(sighting.corners), dtype=bool)
+        return Shown(sighting, robot, face.id, turned, is_good)
 
 
 def load_world(name_or_path: str, *, seed: int, target: str | None = None) -> World:
@@ -246,6 +248,22 @@ def _model(spec: CameraSpec) -> CameraModel:
     plain = CameraModel.from_field_of_view(spec.width, spec.height, float(fov_rad))
     cx, cy = plain.cx + spec.centre_offset[0], plain.cy + spec.centre_offset[1]
     return CameraModel(spec.width, spec.height, plain.fx, plain.fy, cx, cy, spec.distortion)
+
+
+def _rolled(face: SeenFace, camera: SimulatedCamera, robot: SimulatedRobot, t_s: float) -> SeenFace:
+    """A face as it is seen while the rows of the picture of world time `t_s` are exposed: each
+    corner lies on the row that is exposed as it passes there."""
+    if camera.line_delay_s == 0 or not len(face.corners):
+        return face
+    in_base = face.face.base_from_face @ face.face.corners[face.corners]
+    camera_from_map = camera.map_from_camera_at(t_s).inverse()
+    pixels = face.pixels
+    for _ in range(_ROLLED_ROUNDS):
+        rows_s = t_s + camera.row_delay_s(pixels[:, 1])
+        camera_from_base = camera_from_map @ robot.map_from_base(rows_s)
+        points = (camera_from_base.rotation @ in_base[..., None])[..., 0]
+        pixels = camera.model.project(points + camera_from_base.translation)
+    return replace(face, pixels=pixels)
 
 
 def _walls(file: WorldFile, map_from_plan: Pose) -> tuple[Wall, ...]:

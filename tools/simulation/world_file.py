@@ -6,7 +6,7 @@ Coordinates in a file are those of the floor plan; `world` moves everything into
 from pathlib import Path
 from typing import Annotated, Literal
 
-from msgspec import Meta, Struct
+from msgspec import Meta, Struct, structs
 
 from trigpoint.base.errors import InputError
 from trigpoint.site.config import Count, NotNegative, OdometryNoise, Positive
@@ -106,13 +106,5 @@ def _with_base(path: Path, file: WorldFile) -> WorldFile:
     base = load_toml(path.parent / file.based_on, WorldFile, "world file", InputError)
     if base.based_on is not None:
         raise InputError(f"{path}: {file.based_on} is itself based on a file; name that one")
-    return WorldFile(
-        site=file.site or base.site,
-        walls=file.walls or base.walls,
-        cameras=file.cameras or base.cameras,
-        robots=file.robots or base.robots,
-        picture_rate=file.picture_rate or base.picture_rate,
-        smallest_square=file.smallest_square,
-        hold_first=file.hold_first,
-        hold_last=file.hold_last,
-    )
+    taken = ("site", "walls", "cameras", "robots", "picture_rate")
+    return structs.replace(file, **{n: getattr(file, n) or getattr(base, n) for n in taken})

@@ -22,7 +22,7 @@ from trigpoint.site.config import (
     TlsConfig,
     WheelConfig,
 )
-from trigpoint.site.target import Face, Pattern, Target
+from trigpoint.site.target import NOWHERE, Face, Pattern, Target
 from trigpoint.site.toml_file import toml_value
 from trigpoint.tools.shapes.bodies import Side, box_faces
 from trigpoint.tools.shapes.text import target_text
@@ -267,17 +267,7 @@ _TARGET_HEAD = (
     "into the board; the robot's base has x forward, y left, z up. Corner 0 is the top left inner",
     "corner of the face seen upright.",
 )
-_BOARD = Face(
-    id=0,
-    pattern=Pattern.CHARUCO,
-    columns=5,
-    rows=7,
-    square=0.035,
-    marker=0.026,
-    dictionary="DICT_4X4_100",
-    translation=(0.0, 0.0, 0.0),
-    quaternion=(0.0, 0.0, 0.0, 1.0),
-)
+_BOARD = Face(0, Pattern.CHARUCO, 5, 7, 0.035, *NOWHERE, marker=0.026, dictionary="DICT_4X4_100")
 _SIDES = (Side.FRONT, Side.LEFT, Side.RIGHT)
 _BOX_M, _HEIGHT_M = 0.30, 0.40
 

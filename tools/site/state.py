@@ -1,11 +1,11 @@
 """Summarises what a site's nodes report about themselves."""
 
-import re
 import textwrap
 from collections.abc import Iterable
 
 from msgspec import Struct
 
+from trigpoint.base.words import numberless
 from trigpoint.contract.messages import DiagnosticStatus
 from trigpoint.contract.topics import SIGHTINGS, topic_of
 from trigpoint.node.health import LOST_SO_FAR
@@ -113,7 +113,6 @@ def _absent(
 
 
 def _versions(nodes: list[NodeStatus]) -> dict[str, list[str]]:
-    """The running nodes by version; the most common version first."""
     found: dict[str, list[str]] = {}
     for node in nodes:
         if node.version and node.state != "gone":
@@ -131,13 +130,13 @@ def _node(status: DiagnosticStatus, is_alive: bool) -> NodeStatus:
         host=status.hardware_id,
         version=values.get("version", ""),
         contract=values.get("contract", ""),
-        uptime_s=_number(values.get("uptime", "")),
-        rates={name: _number(text) for name, text in _ending(values, ".rate")},
-        totals={name: int(_number(text)) for name, text in _ending(values, ".total")},
-        depths={name: int(_number(text)) for name, text in _ending(values, ".depth")},
-        losses={name: int(_number(text)) for name, text in _ending(values, ".lost")},
+        uptime_s=number_said(values.get("uptime", "")),
+        rates={name: number_said(text) for name, text in _ending(values, ".rate")},
+        totals={name: int(number_said(text)) for name, text in _ending(values, ".total")},
+        depths={name: int(number_said(text)) for name, text in _ending(values, ".depth")},
+        losses={name: int(number_said(text)) for name, text in _ending(values, ".lost")},
         gauges={
-            n: _number(text) for n, text in values.items() if _is_gauge(n) and _is_number(text)
+            n: number_said(text) for n, text in values.items() if _is_gauge(n) and _is_number(text)
         },
         words={n: text for n, text in values.items() if _is_gauge(n) and not _is_number(text)},
         last_error=values.get("last_error", ""),
@@ -162,12 +161,9 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _number(text: str) -> float:
+def number_said(text: str) -> float:
     """A number sent by another node; 0 if it is not a number."""
-    try:
-        value = float(text)
-    except ValueError:
-        return 0.0
+    value = float(text) if _is_number(text) else 0.0
     return value if abs(value) < 1e15 else 0.0
 
 
@@ -211,7 +207,7 @@ def notes(node: NodeStatus) -> list[str]:
     found = [rates, words, losses and f"lost: {losses}"]
     is_told = node.message == "running" or node.message.startswith(LOST_SO_FAR)
     found += ["" if is_told else node.message]
-    if _without_numbers(node.last_error) != _without_numbers(node.message):
+    if numberless(node.last_error) != numberless(node.message):
         found += [node.last_error and f"last error: {node.last_error}"]
     return [note for note in found if note]
 
@@ -230,8 +226,3 @@ def _by_topic(rates: dict[str, float]) -> dict[str, float]:
     if _FACES in sums:
         told |= {name for name in sums if name.endswith(f" {SIGHTINGS.name}")}
     return {name: rate for name, rate in sums.items() if name not in told}
-
-
-def _without_numbers(text: str) -> str:
-    """A text as it is however long its trouble has lasted."""
-    return re.sub(r"\d+", "", text)

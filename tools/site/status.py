@@ -59,8 +59,6 @@ def main(
 
 
 class Watcher:
-    """Stopped by a signal."""
-
     def __init__(self) -> None:
         self.stopping = threading.Event()
 

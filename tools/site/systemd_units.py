@@ -14,6 +14,8 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+from trigpoint.contract.access import Kind
+
 WATCHDOG_S = 30
 
 
@@ -27,6 +29,7 @@ class Unit:
     """One kind of node. `words`: the program's arguments; `group`: whose devices it opens, which
     are `devices` (systemd.resource-control(5)); `writes`: whether it writes files."""
 
+    kind: Kind
     name: str
     description: str
     words: str
@@ -37,6 +40,7 @@ class Unit:
 
 UNITS = (
     Unit(
+        Kind.CAMERA,
         "trigpoint-edge@",
         "the agent of camera %i",
         "edge --camera %i",
@@ -44,15 +48,16 @@ UNITS = (
         ("char-video4linux", "char-media"),
     ),
     Unit(
+        Kind.ROBOT,
         "trigpoint-robot@",
         "the bridge of robot %i",
         "robot --robot %i",
         "dialout",
         ("char-ttyUSB", "char-ttyACM", "char-ttyS", "char-ttyAMA"),
     ),
-    Unit("trigpoint-fusion", "the live estimator", "fusion", writes=True),
-    Unit("trigpoint-recorder", "the recorder", "record", writes=True),
-    Unit("trigpoint-router", "the router", "router"),
+    Unit(Kind.FUSION, "trigpoint-fusion", "the live estimator", "fusion", writes=True),
+    Unit(Kind.RECORDER, "trigpoint-recorder", "the recorder", "record", writes=True),
+    Unit(Kind.ROUTER, "trigpoint-router", "the router", "router"),
 )
 
 SHUT_IN = """\
@@ -96,7 +101,6 @@ def unit_files(folder: Path, site: Path, sessions: Path) -> dict[Path, str]:
 
 
 def service_user() -> str:
-    """The user that runs the nodes."""
     user = getpass.getuser()
     return SERVICE_USER if user == "root" else user
 

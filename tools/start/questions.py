@@ -40,7 +40,6 @@ class Questions:
         raise InputError(f"no answer to «{question.text}» was right; begin again")
 
     def confirm(self, text: str, *, default: bool) -> bool:
-        """A yes or a no."""
         return self.ask(Question(f"{text} (y/n)", "y" if default else "n", _yes_or_no)) == "y"
 
     def _answer(self, question: Question) -> str:

@@ -1,7 +1,7 @@
 """What is wrong with a target, and what its user should know."""
 
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 
@@ -23,7 +23,6 @@ class Findings:
 
 
 def check_target(target: Target) -> Findings:
-    """Check every face and every pair of faces."""
     problems = [
         problem
         for face in target.faces
@@ -98,46 +97,22 @@ def _listed(faces: list[Face] | tuple[Face, ...]) -> str:
 
 
 def intersects(first: Face, second: Face) -> bool:
-    """Whether two faces' printed rectangles intersect in space, beyond touching."""
-    a, b = (face.base_from_face @ face.outline for face in (first, second))
-    normal_a, normal_b = (face.base_from_face.rotation[:, 2] for face in (first, second))
-    across = np.cross(normal_a, normal_b)
-    if np.linalg.norm(across) > _PARALLEL:
-        return _meet_on_line(a, b, normal_a, normal_b, across / np.linalg.norm(across))
-    if abs(normal_a @ (b[0] - a[0])) > _TOUCH_M:
+    """Whether two faces' printed rectangles intersect in space, beyond touching: whether there is
+    no axis along which they lie apart (the separating axis theorem)."""
+    faces = [face.base_from_face @ face.outline for face in (first, second)]
+    edges = [(corners[1] - corners[0], corners[3] - corners[0]) for corners in faces]
+    normals = [face.base_from_face.rotation[:, 2] for face in (first, second)]
+    if np.linalg.norm(np.cross(normals[0], normals[1])) > _PARALLEL:
+        axes = [*normals, *(np.cross(a, b) for a, b in product(*edges))]
+    elif abs(normals[0] @ (faces[1][0] - faces[0][0])) > _TOUCH_M:
         return False
-    return _overlap_in_plane(a, b)
+    else:
+        axes = [edge for each in edges for edge in each]
+    axes = [axis for axis in axes if np.linalg.norm(axis) > _PARALLEL]
+    return not any(_apart(faces[0], faces[1], axis) for axis in axes)
 
 
-def _meet_on_line(a: Array, b: Array, normal_a: Array, normal_b: Array, line: Array) -> bool:
-    """Rectangles in different planes intersect if they overlap on the planes' common line."""
-    spans = [_span(a, b[0], normal_b, line), _span(b, a[0], normal_a, line)]
-    if any(span is None for span in spans):
-        return False
-    (low_a, high_a), (low_b, high_b) = (span for span in spans if span is not None)
-    return min(high_a, high_b) - max(low_a, low_b) > _TOUCH_M
-
-
-def _span(corners: Array, origin: Array, normal: Array, line: Array) -> tuple[float, float] | None:
-    """Interval along `line` where a rectangle (4, 3) cuts a plane; None if on one side of it."""
-    height = (corners - origin) @ normal
-    along = []
-    for i in range(4):
-        j = (i + 1) % 4
-        if (height[i] > _TOUCH_M and height[j] < -_TOUCH_M) or (
-            height[i] < -_TOUCH_M and height[j] > _TOUCH_M
-        ):
-            part = height[i] / (height[i] - height[j])
-            along.append(float((corners[i] + part * (corners[j] - corners[i])) @ line))
-    return (min(along), max(along)) if len(along) == 2 else None
-
-
-def _overlap_in_plane(a: Array, b: Array) -> bool:
-    """Two rectangles in one plane overlap if no side of either separates them."""
-    for corners in (a, b):
-        for axis in (corners[1] - corners[0], corners[3] - corners[0]):
-            unit = axis / np.linalg.norm(axis)
-            first, second = a @ unit, b @ unit
-            if min(first.max(), second.max()) - max(first.min(), second.min()) <= _TOUCH_M:
-                return False
-    return True
+def _apart(first: Array, second: Array, axis: Array) -> bool:
+    """Whether corners (n, 3) lie on either side of a plane across an axis, or touch it."""
+    a, b = (corners @ axis / np.linalg.norm(axis) for corners in (first, second))
+    return min(a.max() - b.min(), b.max() - a.min()) <= _TOUCH_M

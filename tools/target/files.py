@@ -77,12 +77,12 @@ def import_kalibr(
     force: Annotated[bool, typer.Option("--force", help="Replace a file that exists.")] = False,
 ) -> None:
     """Write target.toml for a board that Kalibr's YAML describes (aprilgrid, checkerboard)."""
-    from .kalibr import read_kalibr_target, target_text
+    from .kalibr import imported_text, read_kalibr_target
 
     target = read_kalibr_target(file)
     path = out or file.with_name("target.toml")
     if path.exists() and not force:
         raise InputError(f"{path} exists already; add --force to replace it, or give --out")
     with writing(path):
-        path.write_text(target_text(target, file.name), encoding="utf-8")
+        path.write_text(imported_text(target, file.name), encoding="utf-8")
     typer.echo(f"wrote {path}; see what it describes: trigpoint target check {path}")

@@ -11,7 +11,7 @@ from msgspec import structs
 
 from trigpoint.base.errors import TargetError
 from trigpoint.edge.registration.dictionaries import predefined_dictionary
-from trigpoint.site.target import Face, Numbering, Pattern
+from trigpoint.site.target import NOWHERE, Face, Numbering, Pattern
 from trigpoint.tools.shapes.upright import print_size
 
 _FEWEST = {Pattern.CHECKERBOARD: 7, Pattern.CHARUCO: 5, Pattern.APRILGRID: 3}
@@ -78,7 +78,7 @@ def _of_metres(pattern: Pattern, columns: int, rows: int) -> Face:
     if pattern is Pattern.APRILGRID:
         keys |= {"border_bits": 2, "numbering": Numbering.KALIBR}
     try:
-        return Face(0, pattern, columns, rows, 1.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), **keys)
+        return Face(0, pattern, columns, rows, 1.0, *NOWHERE, **keys)
     except ValueError as reason:
         raise TargetError(str(reason)) from None
 

@@ -7,9 +7,9 @@ from typing import Any
 from ruamel.yaml import YAML, YAMLError
 
 from trigpoint.base.errors import TargetError, read_text
-from trigpoint.site.target import Face, Numbering, Pattern, Target
+from trigpoint.site.target import NOWHERE, Face, Numbering, Pattern, Target
+from trigpoint.tools.shapes.text import target_text
 
-_HERE = {"translation": (0.0, 0.0, 0.0), "quaternion": (0.0, 0.0, 0.0, 1.0)}
 _EQUAL_SHARE = 1e-6
 # Kalibr's only family, with its borders of two cells.
 _DICTIONARY = "DICT_APRILTAG_36h11"
@@ -23,6 +23,18 @@ _KEYS = {
     ),
 }
 """Target type -> the keys that it needs, and those that it may have."""
+
+_HEADS = {
+    Pattern.APRILGRID: (
+        "square: from tag to tag; marker: a tag's side with its border; numbering: tags are",
+        "counted from the bottom left. translation and quaternion: base_from_face.",
+    ),
+    Pattern.CHECKERBOARD: (
+        "columns and rows are squares; Kalibr counts inner corners, and does not say which are",
+        "dark: write inverted = true where the square at the top left is white. translation and",
+        "quaternion: base_from_face.",
+    ),
+}
 
 
 def read_kalibr_target(path: Path) -> Target:
@@ -41,42 +53,10 @@ def read_kalibr_target(path: Path) -> Target:
     return Target(path.stem, (face,))
 
 
-def target_text(target: Target, source: str) -> str:
+def imported_text(target: Target, source: str) -> str:
     """target.toml of an imported target; `source`: the original file."""
     [face] = target.faces
-    lines = [
-        f'name = "{target.name}"  # from {source}',
-        "",
-        "[[faces]]",
-        f"id = {face.id}",
-        f'pattern = "{face.pattern.value}"',
-        *(_grid_lines(face) if face.pattern is Pattern.APRILGRID else _board_lines(face)),
-        "translation = [0.0, 0.0, 0.0]  # base_from_face, m",
-        "quaternion = [0.0, 0.0, 0.0, 1.0]",
-    ]
-    return "\n".join(lines) + "\n"
-
-
-def _grid_lines(face: Face) -> list[str]:
-    return [
-        f"columns = {face.columns}  # tags",
-        f"rows = {face.rows}",
-        f"square = {face.square!r}  # m, from tag to tag",
-        f"marker = {face.marker!r}  # m, a tag's side with its border",
-        f'dictionary = "{face.dictionary}"',
-        *([f"first_marker = {face.first_marker}"] if face.first_marker else []),
-        f"border_bits = {face.border_bits}",
-        f'numbering = "{face.numbering.value}"  # tags are counted from the bottom left',
-    ]
-
-
-def _board_lines(face: Face) -> list[str]:
-    return [
-        f"columns = {face.columns}  # squares; Kalibr counts inner corners",
-        f"rows = {face.rows}",
-        f"square = {face.square!r}  # m",
-        "inverted = false  # Kalibr does not say: true where the square at the top left is white",
-    ]
+    return target_text(target, head=(f"From {source}.", *_HEADS[face.pattern]))
 
 
 def _aprilgrid(document: dict[str, Any], path: Path) -> Face:
@@ -85,17 +65,17 @@ def _aprilgrid(document: dict[str, Any], path: Path) -> Face:
     if not isinstance(offset, int) or offset < 0:
         raise TargetError(f"{path}: codeOffset is «{offset}»; it must be a whole number from 0 on")
     return Face(
-        id=0,
-        pattern=Pattern.APRILGRID,
-        columns=_count(document, "tagCols", path),
-        rows=_count(document, "tagRows", path),
-        square=_metres(size * (1 + spacing)),
+        0,
+        Pattern.APRILGRID,
+        _count(document, "tagCols", path),
+        _count(document, "tagRows", path),
+        _metres(size * (1 + spacing)),
+        *NOWHERE,
         marker=size,
         dictionary=_DICTIONARY,
         first_marker=offset,
         border_bits=_BORDER_BITS,
         numbering=Numbering.KALIBR,
-        **_HERE,
     )
 
 
@@ -106,14 +86,9 @@ def _checkerboard(document: dict[str, Any], path: Path) -> Face:
             f"{path}: rowSpacingMeters is {down} and colSpacingMeters {along}; only square squares "
             "can be described: print another board"
         )
-    return Face(
-        id=0,
-        pattern=Pattern.CHECKERBOARD,
-        columns=_count(document, "targetCols", path) + 1,
-        rows=_count(document, "targetRows", path) + 1,
-        square=along,
-        **_HERE,
-    )
+    # Kalibr counts inner corners.
+    columns, rows = (_count(document, key, path) + 1 for key in ("targetCols", "targetRows"))
+    return Face(0, Pattern.CHECKERBOARD, columns, rows, along, *NOWHERE)
 
 
 def _document(path: Path) -> dict[str, Any]:

@@ -57,7 +57,6 @@ def _squares(face: Face) -> Array:
 
 
 def described(face: Face) -> str:
-    """A face's pattern in words."""
     square_mm = face.square * 1000
     if face.pattern is Pattern.CHECKERBOARD:
         colours = ", inverted" if face.inverted else ""

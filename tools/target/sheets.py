@@ -48,7 +48,6 @@ class Sheet:
 
 
 def sheets(paper: Paper) -> tuple[Sheet, Sheet]:
-    """A paper upright and lying."""
     short, long = SIZES_MM[paper]
     return Sheet(f"{paper} upright", short, long), Sheet(f"{paper} lying", long, short)
 

@@ -1,17 +1,20 @@
 """The command `trigpoint up`."""
 
+import os
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from trigpoint.base.errors import InputError
+from trigpoint.metrics.serving import OFF
 from trigpoint.site.config import Site, load_site
 from trigpoint.site.option import SITE_FILE, SiteFile
+from trigpoint.tools.parts.specs import PAGE, nodes, trigpoint
 from trigpoint.tools.parts.supervisor import PartSpec
 
-from .parts import parts_of
 from .run import run_parts
 from .selection import Choice, Selection, selected
 
@@ -79,8 +82,36 @@ def _real_site(file: Path, cameras: list[str]) -> Site | None:
 
 
 def _selected(site: Site, cameras: list[str], robots: list[str], without: list[str]) -> Selection:
-    choice = Choice.of(site, cameras, robots, without)
-    return selected(site, choice)
+    return selected(site, Choice.of(site, cameras, robots, without))
+
+
+def parts_of(site: Site, file: Path, selection: Selection) -> list[PartSpec]:
+    """The processes of a selection, the slow ones to start first; cameras share one a core."""
+    name = str(file)
+    specs = nodes(
+        name,
+        cameras=selection.cameras,
+        robots=selection.robots,
+        agents=os.cpu_count() or 1,
+    )
+    left = {"recorder": not selection.has_recorder, "fusion": not selection.has_fusion}
+    specs = _with_metrics(site, [spec for spec in specs if not left.get(spec.name)])
+    if selection.has_board:
+        specs.append(PartSpec("board", trigpoint("board", "--site", name), PAGE, optional=True))
+    return specs
+
+
+def _with_metrics(site: Site, specs: list[PartSpec]) -> list[PartSpec]:
+    """Where the site file has a port for metrics, each part one of its own: that and the next."""
+    if site.metrics.listen is None:
+        return specs
+    host, _, port = site.metrics.listen.rpartition(":")
+    ports = [int(port) + number if int(port) else 0 for number in range(len(specs))]
+    listens = [f"{host}:{port}" if port < 2**16 else OFF for port in ports]
+    return [
+        replace(spec, command=(*spec.command, "--metrics", listen))
+        for spec, listen in zip(specs, listens, strict=True)
+    ]
 
 
 def _run(file: Path, site: Site, selection: Selection, *more: PartSpec) -> None:

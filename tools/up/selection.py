@@ -15,9 +15,6 @@ from trigpoint.base.words import nearest
 from trigpoint.contract.access import Kind
 from trigpoint.site.config import Site, is_loopback
 
-FILE_SCHEMES = ("v4l2", "dir", "file")
-"""Sources that are a path on a machine."""
-
 
 class PartKind(StrEnum):
     """What may be left out by name."""
@@ -97,8 +94,6 @@ def selected(
 
 
 class _Look:
-    """Looks at this machine, a part at a time."""
-
     def __init__(self, site: Site, exists: Callable[[Path], bool]) -> None:
         self._site, self._exists = site, exists
         self._connects = [one for one in site.bus.connect if not is_loopback(one)]
@@ -121,17 +116,16 @@ class _Look:
         return "" if self._exists(key) else f"no key {key.name} here"
 
     def _without_camera(self, name: str) -> str:
-        scheme, _, rest = self._site.cameras[name].source.partition("://")
-        if scheme not in FILE_SCHEMES:
-            return self._without_server()
-        path = self._site.path(rest.partition("?")[0])
-        return "" if self._exists(path) else f"no {path} here"
+        return self._without_file(self._site.cameras[name].file)
 
     def _without_robot(self, name: str) -> str:
         port = self._site.robots[name].port
-        if port is None or "://" in port:
+        return self._without_file(None if port is None or "://" in port else port)
+
+    def _without_file(self, name: str | None) -> str:
+        if name is None:
             return self._without_server()
-        path = self._site.path(port)
+        path = self._site.path(name)
         return "" if self._exists(path) else f"no {path} here"
 
     def _without_server(self) -> str:

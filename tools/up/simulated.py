@@ -18,8 +18,6 @@ from trigpoint.tools.parts.supervisor import PartSpec
 from trigpoint.tools.simulation.site_files import robot_port, write_site, write_truth
 from trigpoint.tools.simulation.world import World, load_world
 
-from .selection import FILE_SCHEMES
-
 _SITE, _WORLD, _SEED, _TARGET = "simulated", "lab", 0, "charuco"
 _LEAD_S = 10.0
 """From here to the world's start. With the seconds that the robot stands then, the parts have more
@@ -79,7 +77,7 @@ def _keys(real: Site, camera: CameraConfig) -> dict[str, object]:
     keys = said_of(camera)
     if camera.intrinsics is not None and not camera.estimates_intrinsics:
         keys["intrinsics"] = str(real.path(camera.intrinsics).absolute())
-    scheme, _, rest = camera.source.partition("://")
-    if scheme in FILE_SCHEMES:
-        keys["source"] = f"{scheme}://{real.path(rest).absolute()}"
+    if camera.file is not None:
+        rest = camera.source.partition("://")[2]
+        keys["source"] = f"{camera.scheme}://{real.path(rest).absolute()}"
     return keys

@@ -2,10 +2,9 @@
 
 import asyncio
 import zlib
-from collections.abc import AsyncIterator, Callable, Iterable
+from collections.abc import AsyncIterator, Iterable
 from contextlib import suppress
 from importlib import resources
-from typing import Protocol
 
 import msgspec
 from starlette.applications import Starlette
@@ -18,6 +17,7 @@ from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from .access import DAY_S, Guard
+from .pages import Page, Pages
 
 _PACKAGE = "trigpoint.tools.web"
 MARK = "mark.svg"
@@ -73,25 +73,13 @@ def served_app(
     return Starlette(routes=[*routes, *assets], middleware=guarded)
 
 
-class Page(Protocol):
-    """One open page."""
-
-    async def take(self) -> bytes:
-        """What is to be sent next, waited for; empty once the page has ended."""
-        ...
-
-    def end(self) -> None:
-        """Have `take` return nothing from now on. Any thread."""
-        ...
-
-
 class EventStream(Response):
     """Server-sent events until the page goes, or does not read; a day at most, so that the browser
-    comes again and its login is prolonged. `leave`: called when the page has gone."""
+    comes again and its login is prolonged."""
 
-    def __init__(self, request: Request, page: Page, leave: Callable[[], None]) -> None:
+    def __init__(self, request: Request, page: Page, pages: Pages) -> None:
         is_packed = "gzip" in request.headers.get("accept-encoding", "")
-        self._page, self._leave = page, leave
+        self._page, self._pages = page, pages
         packing = {"Content-Encoding": "gzip"} if is_packed else {}
         headers = {"Content-Type": "text/event-stream", "X-Accel-Buffering": "no", **packing}
         super().__init__(headers=headers)
@@ -115,7 +103,7 @@ class EventStream(Response):
                         await asyncio.wait_for(send(end), SEND_S)
         finally:
             gone.cancel()
-            self._leave()
+            self._pages.leave(self._page)
 
     async def _messages(self) -> AsyncIterator[bytes]:
         yield self._pack(b"retry: 1000\n\n")

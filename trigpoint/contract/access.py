@@ -9,7 +9,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 
+from trigpoint.base.errors import InputError
 from trigpoint.contract import topics
+from trigpoint.site.config import Site, check_name
 
 from .topics import Topic, sent_key
 
@@ -52,6 +54,23 @@ class Identity:
         if len(parts) != 3 or parts[1] not in set(Kind) or not all(parts):
             return None
         return cls(parts[0], Kind(parts[1]), parts[2])
+
+
+_ONLY_NAMES = {Kind.FUSION: "fusion", Kind.RECORDER: "main"}
+
+
+def identity_in(site: Site, kind: Kind, name: str, *, is_known: bool = False) -> Identity:
+    """A node of a site by what a person calls it; `is_known`: one that the site file may have had
+    before. Raises ConfigError or InputError where there is none."""
+    check_name(kind, name)
+    if not is_known and kind is Kind.CAMERA:
+        site.camera(name)
+    if not is_known and kind is Kind.ROBOT:
+        site.robot(name)
+    only = _ONLY_NAMES.get(kind, name)
+    if name != only:
+        raise InputError(f"a site's {kind} is called «{only}»; write {kind} {only}")
+    return Identity(site.name, kind, name)
 
 
 @dataclass(frozen=True, slots=True)

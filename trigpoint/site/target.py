@@ -21,6 +21,8 @@ from .toml_file import load_toml, parse_toml
 
 # No robot carries larger squares, or any so far from its base, and no camera sees smaller ones.
 _SMALLEST_SQUARE_M, _LARGEST_SQUARE_M, _FARTHEST_M = 2e-4, 2.0, 50.0
+NOWHERE = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+"""Translation and quaternion of a face that has no place yet."""
 
 
 class Pattern(StrEnum):

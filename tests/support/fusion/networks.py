@@ -1,9 +1,24 @@
-"""Compares two networks of the same session."""
+"""Makes networks' cameras, and compares two networks of the same session."""
+
+from typing import Any
 
 import numpy as np
 
+from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
-from trigpoint.map.network import CameraRecord, Network
+from trigpoint.map.network import CameraRecord, IntrinsicsRecord, Network, PoseRecord
+
+
+def located(
+    pose: Pose, covariance: Array, number: int = 0, *, lens: CameraModel | None = None, **more: Any
+) -> CameraRecord:
+    """A camera there; `covariance`: its own, or the joint one, in which it has this number; `lens`:
+    exactly known."""
+    rows = slice(6 * number, 6 * number + 6)
+    if lens is not None:
+        more |= {"intrinsics": IntrinsicsRecord.of(lens, np.zeros(len(lens.parameters)))}
+    numbers = tuple(covariance[rows, rows].reshape(-1).tolist())
+    return CameraRecord("located", map_from_camera=PoseRecord.of(pose), covariance=numbers, **more)
 
 
 def apart_sigmas(mine: CameraRecord, other: CameraRecord) -> Array:

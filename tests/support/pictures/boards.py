@@ -1,18 +1,18 @@
 """Pictures of boards for tests: drawn by code, seen through a lens, with the true corners."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import cache
+from pathlib import Path
 
 import cv2
 import numpy as np
 
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array, exp
-from trigpoint.site.target import Face, Pattern, Target
+from trigpoint.site.target import NOWHERE, Face, Pattern, Target
 from trigpoint.tools.simulation.drawing.lens_grid import directions_on_grid
 
 CAMERA = CameraModel(640, 480, 540.0, 542.0, 322.0, 237.0, (-0.25, 0.06, 5e-4, -3e-4, 0.0))
-NOWHERE = {"translation": (0.0, 0.0, 0.0), "quaternion": (0.0, 0.0, 0.0, 1.0)}
 DARK, LIGHT, GROUND = 30.0, 215.0, 110.0
 _CELL_PX = 48
 _SUPERSAMPLING = 2
@@ -21,11 +21,22 @@ _COARSE = 8  # of the supersampled pixels; faces are larger by far
 
 Placed = tuple[Face, Pose]
 """A face and camera_from_face."""
+HELD = (
+    (-0.13, -0.1, 0.62, 30, 20),
+    (0.14, -0.09, 0.65, -35, 10),
+    (-0.12, 0.1, 0.6, 20, -35),
+    (0.12, 0.1, 0.64, -25, -25),
+    (0.0, 0.0, 0.5, 40, 0),
+    (0.02, 0.01, 0.5, 0, 42),
+    (-0.03, 0.0, 0.9, -40, 15),
+    (0.05, 0.05, 0.45, 10, -20),
+)
+"""x, y, distance, tilt and yaw of a board that is held as a lens needs it."""
 
 
 def checkerboard(columns: int = 9, rows: int = 7, *, number: int = 0) -> Face:
     """A checkerboard of 3 cm squares."""
-    return Face(number, Pattern.CHECKERBOARD, columns, rows, 0.03, **NOWHERE)
+    return Face(number, Pattern.CHECKERBOARD, columns, rows, 0.03, *NOWHERE)
 
 
 CHARUCO_TARGET = """\
@@ -60,7 +71,7 @@ def charuco(
         columns,
         rows,
         0.06,
-        **NOWHERE,
+        *NOWHERE,
         marker=0.045,
         dictionary="DICT_4X4_250",
         first_marker=first,
@@ -79,7 +90,7 @@ def aprilgrid(
         columns,
         rows,
         0.08,
-        **NOWHERE,
+        *NOWHERE,
         marker=0.06,
         dictionary="DICT_APRILTAG_36h11",
         first_marker=first,
@@ -135,6 +146,23 @@ def picture_of(
     if blur_px > 0:
         picture = cv2.GaussianBlur(picture, (0, 0), blur_px)
     return _developed(picture, noise, seed)
+
+
+def held_pictures(count: int = len(HELD)) -> list[np.ndarray]:
+    """Noisy pictures of the board `charuco()`, held in so many ways."""
+    views = [
+        placed(charuco(), x=x, y=y, distance=distance, tilt_deg=tilt, yaw_deg=yaw)
+        for x, y, distance, tilt, yaw in HELD[:count]
+    ]
+    return [picture_of([view], noise=2.0, seed=number) for number, view in enumerate(views)]
+
+
+def write_pictures(folder: Path, pictures: Iterable[np.ndarray]) -> Path:
+    """A folder of 0.png, 1.png and so on."""
+    folder.mkdir()
+    for number, picture in enumerate(pictures):
+        cv2.imwrite(str(folder / f"{number}.png"), picture)
+    return folder
 
 
 def fine_picture_of(

@@ -1,16 +1,14 @@
 """A board served in this process, on a bus in memory, and whoever asks it."""
 
-import http.client
-import json
 import ssl
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from urllib.parse import urlsplit
+from dataclasses import dataclass, field
 
 import pytest
 from support.builders import eventually
+from support.site.visitor import Visitor
 
 from trigpoint.site.config import Site
 from trigpoint.testing.memory_bus import MemoryBroker
@@ -20,55 +18,11 @@ from trigpoint.tools.web.access import Access
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
-    status: int
-    headers: dict[str, str]
-    body: bytes
+class Desk(Visitor):
+    """A served board; `broker`: its bus."""
 
-
-@dataclass(frozen=True, slots=True)
-class Desk:
-    """A served board; `broker`: its bus; `context`: by which it is asked over TLS."""
-
-    address: str
-    broker: MemoryBroker
-    service: BoardService
-    context: ssl.SSLContext | None = None
-
-    @property
-    def port(self) -> int:
-        return urlsplit(self.address).port or 0
-
-    def ask(self, path: str, method: str = "GET", *, body: str = "", **headers: str) -> Answer:
-        """One request on a connection of its own; headers with _ in place of -."""
-        connection = self.connected()
-        try:
-            sent = {name.replace("_", "-"): value for name, value in headers.items()}
-            connection.request(method, path, body or None, sent)
-            answer = connection.getresponse()
-            named = {name.lower(): value for name, value in answer.getheaders()}
-            return Answer(answer.status, named, answer.read())
-        finally:
-            connection.close()
-
-    def connected(self) -> http.client.HTTPConnection:
-        """A connection of one's own."""
-        if self.context is None:
-            return http.client.HTTPConnection("127.0.0.1", self.port, timeout=20)
-        return http.client.HTTPSConnection("127.0.0.1", self.port, timeout=20, context=self.context)
-
-    @contextmanager
-    def events(self, **headers: str) -> Iterator[Iterator[dict]]:
-        """The messages of /events, one after the other."""
-        connection = self.connected()
-        try:
-            connection.request("GET", "/events", headers=headers)
-            answer = connection.getresponse()
-            assert answer.status == 200, answer.read()
-            lines = iter(answer.readline, b"")
-            yield (json.loads(line[6:]) for line in lines if line.startswith(b"data: "))
-        finally:
-            connection.close()
+    broker: MemoryBroker = field(kw_only=True)
+    service: BoardService = field(kw_only=True)
 
 
 @contextmanager
@@ -102,7 +56,8 @@ def served_board(
             raise errors[0]
         trusted = access.certificate if access else None
         context = ssl.create_default_context(cafile=trusted) if trusted else None
-        yield Desk(said[0].rpartition(" ")[2], broker, service, context)
+        address = said[0].rpartition(" ")[2]
+        yield Desk(address, context, broker=broker, service=service)
     finally:
         service.stop()
         thread.join()

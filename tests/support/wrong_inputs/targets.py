@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 
 from trigpoint.geometry.rotation import exp
-from trigpoint.site.target import Face, Pattern
+from trigpoint.site.target import NOWHERE, Face, Pattern
 from trigpoint.tools.site.file import toml_value
 from trigpoint.tools.target.pattern import black_rectangles
 
@@ -28,8 +28,7 @@ def board(
     rows = 4 if even_rows else int(random.integers(4, 6))
     columns = rows + (1 if pattern is Pattern.CHECKERBOARD else int(random.integers(1, 4)))
     plain = {} if pattern is Pattern.CHECKERBOARD else {"marker": 0.03, "dictionary": "DICT_4X4_50"}
-    nowhere = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
-    return Face(0, pattern, columns, rows, 0.04, *nowhere, **plain)
+    return Face(0, pattern, columns, rows, 0.04, *NOWHERE, **plain)
 
 
 def changed(face: Face, **changes: object) -> Face:

@@ -20,7 +20,7 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from support.builders import eventually
-from support.pictures.boards import CHARUCO_TARGET, charuco, picture_of, placed
+from support.pictures.boards import CHARUCO_TARGET, held_pictures, write_pictures
 
 import trigpoint as tp
 from trigpoint.base.clock import SystemClock
@@ -37,8 +37,6 @@ from trigpoint.zenoh import open_bus
 
 ROOT = Path(__file__).resolve().parents[3]
 EXAMPLES, PAGE = ROOT / "examples", ROOT / "docs" / "python.md"
-BOARD = [(-0.13, -0.1, 0.62, 30, 20), (0.14, -0.09, 0.65, -35, 10), (-0.12, 0.1, 0.6, 20, -35)]
-BOARD += [(0.12, 0.1, 0.64, -25, -25), (0.0, 0.0, 0.5, 40, 0), (0.02, 0.01, 0.5, 0, 42)]
 
 
 @pytest.fixture(scope="module")
@@ -56,12 +54,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     first = next((made / "pictures" / "c1").iterdir())
     (made / "picture.png").write_bytes(first.read_bytes())
     _write_bag(made)
-    (made / "board").mkdir()
     (made / "board.toml").write_text(CHARUCO_TARGET)
-    for number, (x, y, distance, tilt, yaw) in enumerate(BOARD):
-        view = placed(charuco(), x=x, y=y, distance=distance, tilt_deg=tilt, yaw_deg=yaw)
-        picture = picture_of([view], noise=2.0, seed=number)
-        cv2.imwrite(str(made / "board" / f"{number}.png"), picture)
+    write_pictures(made / "board", held_pictures(6))
     return made
 
 

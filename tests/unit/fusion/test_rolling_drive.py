@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.study.disturbance import Disturbance
+from benchmarks.study.in_memory import Simulated, simulated
 from trigpoint.contract.messages import Odometry
 from trigpoint.fusion.pipeline import Inputs, Pipeline
 from trigpoint.site.config import Site, parse_site
-from trigpoint.tools.simulation.disturbance import Disturbance
-from trigpoint.tools.simulation.in_memory import Simulated, simulated
 from trigpoint.tools.simulation.world import load_world
 
 LINE_DELAY_S = 60e-6

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 from support.builders import eventually, make_odometry
+from support.commands import Cli
 
 from trigpoint.bus.bus import Bus
-from trigpoint.cli import run
 from trigpoint.contract import cdr
 from trigpoint.contract.messages import Diagnostics, DiagnosticStatus
 from trigpoint.contract.topics import CAMERA_INFO, DIAGNOSTICS, ODOMETRY, SIGHTINGS
@@ -156,26 +156,20 @@ def test_only_keys_that_match_the_filter_are_recorded(site_folder: Path, story: 
     assert {sample.topic for sample in open_recording(path).samples()} == {SIGHTINGS}
 
 
-def test_info_tells_rates_and_gaps(session_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["info", "--json", str(session_file)]) == 0
-    info = json.loads(capsys.readouterr().out)
+def test_info_tells_rates_and_gaps(session_file: Path, cli: Cli) -> None:
+    info = json.loads(cli("info", "--json", session_file).out)
     odometry = info["keys"][KEY]
     assert odometry["type"] == ODOMETRY.type_name
     assert odometry["rate_hz"] == pytest.approx(20.0)
     assert odometry["longest_gap_s"] == pytest.approx(0.05)
     assert odometry["sequence_breaks"] == 0
-    assert run(["info", str(session_file)]) == 0
-    assert KEY in capsys.readouterr().out
+    assert KEY in cli("info", session_file).out
 
 
-def test_check_and_recover_as_commands(
-    session_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(["check", str(session_file)]) == 0
-    assert "sound" in capsys.readouterr().out
+def test_check_and_recover_as_commands(session_file: Path, tmp_path: Path, cli: Cli) -> None:
+    assert "sound" in cli("check", session_file).out
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(session_file.read_bytes()[:-2000])
-    assert run(["check", str(cut)]) == 1
-    capsys.readouterr()
-    assert run(["recover", str(cut)]) == 0
-    assert run(["check", str(tmp_path / "recovered")]) == 0
+    cli("check", cut, status=1)
+    cli("recover", cut)
+    cli("check", tmp_path / "recovered")

@@ -13,6 +13,7 @@ from types import ModuleType
 
 import pytest
 import typer
+from support.commands import Cli
 
 import trigpoint
 from trigpoint import __version__
@@ -39,9 +40,8 @@ def put_command(monkeypatch: pytest.MonkeyPatch, function: object, name: str = "
     monkeypatch.setitem(COMMANDS, name, Command("pretended:main", "Pretends.", extra))
 
 
-def test_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["--version"]) == 0
-    assert capsys.readouterr().out == f"trigpoint {__version__}\n"
+def test_version_is_printed(cli: Cli) -> None:
+    assert cli("--version").out == f"trigpoint {__version__}\n"
 
 
 def test_help_lists_every_command_without_importing_one() -> None:
@@ -59,11 +59,10 @@ def test_help_lists_every_command_without_importing_one() -> None:
 
 
 @pytest.mark.parametrize("name", list(COMMANDS))
-def test_every_command_of_the_table_opens(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_command_of_the_table_opens(name: str, cli: Cli) -> None:
     function = COMMANDS[name].load()
     assert function.__doc__
-    assert run([*name.split(), "--help"]) == 0
-    out = " ".join(capsys.readouterr().out.split())
+    out = " ".join(cli(*name.split(), "--help").out.split())
     assert f"Usage: trigpoint {name}" in out
     assert function.__doc__.split()[0] in out
 
@@ -73,14 +72,11 @@ def test_every_plug_in_opens() -> None:
         assert callable(entry.load())
 
 
-def test_log_level_may_stand_anywhere(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_log_level_may_stand_anywhere(monkeypatch: pytest.MonkeyPatch, cli: Cli) -> None:
     put_command(monkeypatch, lambda: None)
-    assert run(["edge", "--log-level", "debug"]) == 0
+    cli("edge", "--log-level", "debug")
     assert logging.getLogger("trigpoint").level == logging.DEBUG
-    assert run(["edge", "--log-level", "loud"]) == 2
-    assert "loud" in capsys.readouterr().err
+    assert "loud" in cli.refused("edge", "--log-level", "loud")
 
 
 def test_shell_completes_commands_and_the_options_of_one() -> None:
@@ -100,9 +96,8 @@ def test_shell_completes_commands_and_the_options_of_one() -> None:
     assert "--watch" in completed("trigpoint status --")
 
 
-def test_a_name_that_is_no_command_is_said(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["conquer"]) == 2
-    assert "No such command" in capsys.readouterr().err
+def test_a_name_that_is_no_command_is_said(cli: Cli) -> None:
+    assert "No such command" in cli.refused("conquer")
 
 
 @pytest.mark.parametrize(
@@ -126,35 +121,29 @@ def test_chosen_command_is_read_off_the_line(arguments: str, expected: str) -> N
 @pytest.mark.parametrize(
     "arguments", [["nonsense"], ["--nonsense"], ["target"], ["status", "--site"]]
 )
-def test_bad_use_is_one_line_and_exits_2(
-    arguments: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(arguments) == 2
-    captured = capsys.readouterr()
+def test_bad_use_is_one_line_and_exits_2(arguments: list[str], cli: Cli) -> None:
+    captured = cli(*arguments, status=2)
     assert captured.out == ""
     assert re.fullmatch(r"trigpoint: .+; see `trigpoint.*--help`\n", captured.err)
 
 
 def test_a_site_file_is_the_one_of_this_folder_or_of_the_environment(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    cli: Cli, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert run(["status"]) == 2
-    assert "site.toml: there is no such site file; give --site FILE" in capsys.readouterr().err
+    assert "site.toml: there is no such site file; give --site FILE" in cli.refused("status")
     monkeypatch.setenv("TRIGPOINT_SITE", "hall.toml")
-    assert run(["status"]) == 2
-    assert "hall.toml: there is no such site file" in capsys.readouterr().err
+    assert "hall.toml: there is no such site file" in cli.refused("status")
 
 
-def test_no_command_at_all_shows_the_help_and_exits_2(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run([]) == 2
-    assert "Commands:" in capsys.readouterr().out
+def test_no_command_at_all_shows_the_help_and_exits_2(cli: Cli) -> None:
+    assert "Commands:" in cli(status=2).out
 
 
 @pytest.mark.parametrize(("error", "status"), [(ConfigError, 2), (BusError, 1)])
 def test_error_on_purpose_is_one_line_with_its_status(
     monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    cli: Cli,
     error: type[Exception],
     status: int,
 ) -> None:
@@ -162,14 +151,13 @@ def test_error_on_purpose_is_one_line_with_its_status(
         raise error("site.toml:3: no;\nmend it")
 
     put_command(monkeypatch, fail)
-    assert run(["edge"]) == status
-    assert capsys.readouterr().err == "trigpoint: site.toml:3: no; mend it\n"
+    assert cli("edge", status=status).err == "trigpoint: site.toml:3: no; mend it\n"
 
 
 @pytest.mark.parametrize("package", list(EXTRAS))
 @pytest.mark.parametrize("command", ["edge", "board", "calibrate"])
 def test_missing_extra_names_what_to_install(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], package: str, command: str
+    monkeypatch: pytest.MonkeyPatch, cli: Cli, package: str, command: str
 ) -> None:
     """The command's own extra where that has the package: a bag that an agent's machine opens
     takes the recorder's."""
@@ -181,8 +169,7 @@ def test_missing_extra_names_what_to_install(
     has_it = set(own.split(",")) & set(EXTRAS[package])
     extra = own if has_it else EXTRAS[package][0]
     put_command(monkeypatch, fail, command)
-    assert run([command]) == 1
-    assert capsys.readouterr().err == (
+    assert cli(command, status=1).err == (
         f"trigpoint: `trigpoint {command}` needs the package «{package}», which is not installed "
         f"here; run: pip install -c constraints.txt 'trigpoint[{extra}] @ "
         f"file:///path/to/trigpoint-{trigpoint.__version__}-py3-none-manylinux_2_28_"
@@ -229,7 +216,7 @@ def test_a_camera_node_needs_the_edge_extra_alone() -> None:
     """Its commands, and what `doctor` looks at there."""
     others = [name for name, extras in EXTRAS.items() if "edge" not in extras]
     places = [row.place.partition(":")[0] for row in COMMANDS.values() if row.extra == "edge"]
-    places += ["trigpoint.tools.doctor.cameras", "trigpoint.tools.doctor.boards"]
+    places.append("trigpoint.tools.doctor.cameras")
     assert "trigpoint.tools.pictures.detect" in places
     blocked = f"import sys; sys.modules.update(dict.fromkeys({others}))"
     code = "\n".join([blocked, *(f"import {place}" for place in places)])

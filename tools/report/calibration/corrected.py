@@ -20,19 +20,12 @@ from trigpoint.tools.pages.frame import (
 )
 from trigpoint.tools.pages.network_map import UPRIGHT, WIDE
 from trigpoint.tools.pages.plan import Plan
-from trigpoint.tools.pages.style import PALETTE
-from trigpoint.tools.pages.svg import circle, drawing, element, group, text
+from trigpoint.tools.pages.svg import camera_colour, circle, drawing, element, group, text
 
 from .facts import CalibrationResults
 
-_COLOURS = np.array(
-    [
-        *((26, 127, 90), (99, 177, 121), (217, 196, 91), (227, 154, 75)),
-        *((201, 111, 74), (162, 49, 58)),
-    ],
-    dtype=np.uint8,
-)
-"""Of the classes, and of where a robot is not corrected; the page's style has the same."""
+_COLOURS = ("#1a7f5a", "#63b179", "#d9c45b", "#e39a4b", "#c96f4a", "#a2313a")
+"""Of the classes, and of where a robot is not corrected."""
 _BY_FAILURE_M = (0.05, math.inf)
 
 
@@ -78,7 +71,7 @@ def _drawing(results: CalibrationResults, each: AccuracyMap, width: float, *, up
 def _camera(name: str, place: Array, index: int) -> str:
     x, y = (float(value) for value in place)
     mark = circle(x, y, 4.0, class_="found")
-    return group(mark, text(x, y - 8, name, class_="name"), class_=f"k{index % PALETTE}")
+    return group(mark, text(x, y - 8, name, class_="name"), class_=camera_colour(index))
 
 
 def _classes(each: AccuracyMap) -> np.ndarray:
@@ -91,7 +84,8 @@ def _classes(each: AccuracyMap) -> np.ndarray:
 def _pixels(each: AccuracyMap) -> np.ndarray:
     floor = each.floor
     pixels = np.zeros((floor.rows * floor.columns, 4), dtype=np.uint8)
-    pixels[:, :3] = _COLOURS[_classes(each)]
+    colours = [tuple(bytes.fromhex(colour[1:])) for colour in _COLOURS]
+    pixels[:, :3] = np.array(colours)[_classes(each)]
     pixels[:, 3] = np.where(each.is_floor, 255, 0)
     return pixels.reshape(floor.rows, floor.columns, 4)[::-1]
 
@@ -102,8 +96,8 @@ def _meanings(each: AccuracyMap) -> Iterator[tuple[str, str]]:
     names = [class_name(w) for w in WITHIN_M[:-1]]
     names += [f"beyond {100 * WITHIN_M[-2]:g} cm", "not corrected"]
     shown = np.diff([0.0, *sizes, each.floor_m2])
-    for index, (name, area) in enumerate(zip(names, shown, strict=True)):
-        box = element("rect", x=4, y=1, width=26, height=12, class_=f"c{index}")
+    for colour, name, area in zip(_COLOURS, names, shown, strict=True):
+        box = element("rect", x=4, y=1, width=26, height=12, fill=colour)
         yield box, f"{name}: {area:.1f} m²"
 
 

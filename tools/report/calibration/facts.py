@@ -1,6 +1,5 @@
 """What the page of a calibration shows, and the figures that it is summed up in."""
 
-import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,8 +61,7 @@ class CalibrationResults:
     @property
     def distances(self) -> Distances:
         """Between all located cameras."""
-        pairs = itertools.combinations(self.network.located, 2)
-        return distances(self.network, self.covariance, pairs)
+        return distances(self.network, self.covariance)
 
     @property
     def sightings(self) -> int:

@@ -15,8 +15,7 @@ from trigpoint.tools.pages.frame import (
 )
 from trigpoint.tools.pages.network_map import NetworkMap, Way
 from trigpoint.tools.pages.residual_charts import histogram_drawing, picture_drawing
-from trigpoint.tools.pages.style import PALETTE
-from trigpoint.tools.pages.svg import element
+from trigpoint.tools.pages.svg import camera_colour, element
 
 from .building import building_section
 from .corrected import corrected_section
@@ -37,7 +36,6 @@ _OPEN_DISTANCES = 15
 
 
 def calibration_page(results: CalibrationResults) -> str:
-    """The whole page."""
     network = results.network
     return html_page(
         f"Trigpoint calibration of {network.site}",
@@ -175,7 +173,7 @@ def _camera(results: CalibrationResults, name: str, camera: CameraRecord, index:
         _residuals(results, name, camera),
         tables,
         _moved(camera),
-        class_=f"camera card k{index % PALETTE}",
+        class_=f"camera card {camera_colour(index)}",
         open="" if is_open else None,
     )
 

@@ -10,8 +10,7 @@ import numpy as np
 from trigpoint.map.network import CameraRecord, Network
 from trigpoint.tools.networks.truth import MOST_SIGMAS, CameraError, NetworkError
 from trigpoint.tools.pages.frame import fixed, row, table
-from trigpoint.tools.pages.style import PALETTE
-from trigpoint.tools.pages.svg import element
+from trigpoint.tools.pages.svg import camera_colour, element
 
 from .facts import CalibrationResults, view_angle_sigmas, view_angles
 
@@ -52,7 +51,7 @@ def overview_table(
         cells += [element("td", n) for n in (str(camera.sightings), str(camera.rejected), rms)]
         cells += [] if error is None else _error_cells(error.cameras.get(name))
         cells += [element("td", escape(column[index])) for column in more.values()]
-        rows.append(element("tr", *cells, class_=f"k{index % PALETTE}"))
+        rows.append(element("tr", *cells, class_=camera_colour(index)))
     return table([*head, *more], rows)
 
 
@@ -122,7 +121,6 @@ def _sigma(value: float, form: str) -> str:
 
 
 def guidance_table(results: CalibrationResults) -> str:
-    """The next poses, in order."""
     head = ("", "robot", "x m", "y m", "heading<br>degrees", "seen by", "improves")
     head += ("from<br>cm", "to<br>cm")
     rows = []
@@ -149,7 +147,7 @@ def used_table(results: CalibrationResults) -> str:
         wild = int((~found.used).sum())
         numbers = (found.used_sightings, found.rejected, found.pending, int(found.used.sum()), wild)
         cells = (_DISC + escape(name), *map(str, numbers))
-        rows.append(row(cells, class_=f"k{index % PALETTE}"))
+        rows.append(row(cells, class_=camera_colour(index)))
     return table(head, rows)
 
 
@@ -167,7 +165,6 @@ def left_out_table(results: CalibrationResults) -> str:
 
 
 def distance_table(results: CalibrationResults) -> str:
-    """The distances between all cameras."""
     found = results.distances
     rows = (
         row((escape(f"{first} to {second}"), f"{metres:.4f}", f"{100 * sigma:.2f}"))

@@ -7,7 +7,6 @@ from .facts import CalibrationResults
 
 
 def headline(results: CalibrationResults) -> str:
-    """The calibration in one sentence."""
     located, count = len(results.network.located), len(results.network.cameras)
     worst = results.worst
     if worst is None:
@@ -21,7 +20,6 @@ def headline(results: CalibrationResults) -> str:
 
 
 def summary(results: CalibrationResults) -> str:
-    """A few numbers with what they mean."""
     return tiles(
         _located(results), _worst(results), _distance(results), _truth(results), _noise(results),
         _rejected(results),

@@ -4,10 +4,9 @@ import numpy as np
 
 from trigpoint.geometry.rotation import Array
 from trigpoint.tools.pages.axes import Axes
-from trigpoint.tools.pages.style import PALETTE
 from trigpoint.tools.pages.svg import (
+    camera_colour,
     circle,
-    drawing,
     element,
     group,
     line,
@@ -16,13 +15,7 @@ from trigpoint.tools.pages.svg import (
     thinned,
 )
 
-from .results import (
-    PAPER_DISTANCE_ERROR_M,
-    DemoResults,
-    PairResult,
-    RobotResult,
-    Track,
-)
+from .results import PAPER_DISTANCE_ERROR_M, DemoResults, RobotResult, Track
 
 WIDTH, HEIGHT = 520.0, 280.0
 _MOST_POINTS = 400
@@ -48,16 +41,8 @@ def robot_error_chart(results: DemoResults) -> str:
         )
         if len(errors)
     ]
-    labels = _labels(axes, ends)
-    return drawing(
-        WIDTH,
-        HEIGHT,
-        axes.frame("seconds", "robot's error, cm"),
-        *lines,
-        labels,
-        label="The robot's error over time, by odometry alone and corrected",
-        class_="chart",
-    )
+    label = "The robot's error over time, by odometry alone and corrected"
+    return axes.chart("seconds", "robot's error, cm", *lines, _labels(axes, ends), label=label)
 
 
 def uncertainty_chart(results: DemoResults) -> str:
@@ -71,19 +56,13 @@ def uncertainty_chart(results: DemoResults) -> str:
     names = [camera.name for camera in results.cameras]
     lines, ends = [], []
     for series in results.series:
-        kind = f"k{names.index(series.name) % PALETTE}"
+        kind = camera_colour(names.index(series.name))
         points = axes.points(series.t_s, 100 * series.sigma_m)
         lines.append(group(polyline(thinned(points, _MOST_POINTS), class_="series"), class_=kind))
         ends.append((float(points[-1, 1]), series.name, f"series-text {kind}"))
-    return drawing(
-        WIDTH,
-        HEIGHT,
-        axes.frame("seconds", "standard deviation of the place, cm"),
-        *lines,
-        _labels(axes, ends),
-        label="The cameras' uncertainty over time",
-        class_="chart",
-    )
+    title = "standard deviation of the place, cm"
+    label = "The cameras' uncertainty over time"
+    return axes.chart("seconds", title, *lines, _labels(axes, ends), label=label)
 
 
 def latency_chart(results: DemoResults) -> str:
@@ -96,23 +75,21 @@ def latency_chart(results: DemoResults) -> str:
         _mark(axes, float(np.quantile(milliseconds, share)), name, row)
         for row, (share, name) in enumerate(((0.5, "half"), (0.95, "95 %")))
     ]
-    return drawing(
-        WIDTH,
-        HEIGHT,
-        axes.frame("milliseconds from exposure to correction", "corrections"),
+    return axes.chart(
+        "milliseconds from exposure to correction",
+        "corrections",
         *axes.bars(counts, edges),
         *marks,
         label="Histogram of the time from exposure to correction",
-        class_="chart",
     )
 
 
 def distance_chart(results: DemoResults) -> str:
     """Every pair's distance: estimated minus true, with its sigma; centimetres."""
-    pairs = results.pairs
-    reach = max(max(abs(p.error_m), p.sigma_m) + p.sigma_m for p in pairs)
+    found, errors_m = results.distances, results.distance_errors_m
+    reach = float(np.max(np.maximum(np.abs(errors_m), found.sigmas_m) + found.sigmas_m))
     top = 115 * max(reach, PAPER_DISTANCE_ERROR_M)
-    axes = Axes.of(WIDTH, HEIGHT, x=(-0.6, len(pairs) - 0.4), y=(-top, top))
+    axes = Axes.of(WIDTH, HEIGHT, x=(-0.6, len(errors_m) - 0.4), y=(-top, top))
     paper = 100 * PAPER_DISTANCE_ERROR_M
     low, high = float(axes.up(-paper)), float(axes.up(paper))
     left, right = axes.across.start, axes.across.end
@@ -121,27 +98,22 @@ def distance_chart(results: DemoResults) -> str:
     )
     words = text(right - 4, high - 5, "the paper's mean error", class_="tick end-anchored")
     zero = line(left, float(axes.up(0)), right, float(axes.up(0)), class_="axis")
-    return drawing(
-        WIDTH,
-        HEIGHT,
-        band,
-        axes.frame(
-            "", "estimated minus true distance, cm", names=[(p.first, p.second) for p in pairs]
-        ),
-        zero,
-        words,
-        *(_pair(axes, i, pair) for i, pair in enumerate(pairs)),
-        label="The error of the distance between every two cameras",
-        class_="chart",
-    )
+    marks = [
+        _pair(axes, place, names, 100 * error_m, 100 * sigma_m)
+        for place, (names, error_m, sigma_m) in enumerate(
+            zip(found.pairs, errors_m.tolist(), found.sigmas_m.tolist(), strict=True)
+        )
+    ]
+    label = "The error of the distance between every two cameras"
+    title = "estimated minus true distance, cm"
+    return axes.chart("", title, band, zero, words, *marks, label=label, names=found.pairs)
 
 
-def _pair(axes: Axes, place: int, pair: PairResult) -> str:
+def _pair(axes: Axes, place: int, names: tuple[str, str], error_cm: float, sigma_cm: float) -> str:
     x = float(axes.across(place))
-    low, high = (float(axes.up(100 * (pair.error_m + s * pair.sigma_m))) for s in (-1, 1))
-    title = element("title", f"{pair.first} to {pair.second}: {100 * pair.error_m:+.2f} cm")
-    whisker = line(x, low, x, high, class_="whisker")
-    return group(title, whisker, circle(x, float(axes.up(100 * pair.error_m)), 4, class_="dot"))
+    low, middle, high = axes.up([error_cm - sigma_cm, error_cm, error_cm + sigma_cm]).tolist()
+    title = element("title", f"{names[0]} to {names[1]}: {error_cm:+.2f} cm")
+    return group(title, line(x, low, x, high, class_="whisker"), circle(x, middle, 4, class_="dot"))
 
 
 def _errors_cm(robot: RobotResult, track: Track) -> tuple[Array, Array]:

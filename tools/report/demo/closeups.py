@@ -3,8 +3,8 @@
 import numpy as np
 
 from trigpoint.tools.pages.plan import Plan
-from trigpoint.tools.pages.style import PALETTE
 from trigpoint.tools.pages.svg import (
+    camera_colour,
     circle,
     drawing,
     element,
@@ -39,13 +39,13 @@ def _figure(camera: CameraResult, index: int, plan: Plan) -> str:
         why = "; ".join(camera.record.undetermined) or "the robot never showed it its target"
         body = element("p", f"{camera.record.status}: {why}", class_="quiet")
         caption = element("figcaption", element("b", camera.name))
-        return element("figure", body, caption, class_=f"k{index % PALETTE} absent")
+        return element("figure", body, caption, class_=f"{camera_colour(index)} absent")
     caption = element(
         "figcaption",
         element("b", camera.name),
         f" {100 * camera.error.position:.2f} cm off, {camera.error.sigmas:.1f} sigmas",
     )
-    return element("figure", _target(camera, plan), caption, class_=f"k{index % PALETTE}")
+    return element("figure", _target(camera, plan), caption, class_=camera_colour(index))
 
 
 def _target(camera: CameraResult, plan: Plan) -> str:

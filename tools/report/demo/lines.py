@@ -13,7 +13,6 @@ _INDENT = "  "
 
 
 def table(results: DemoResults) -> str:
-    """Everything against the truth, as lines."""
     robots = (line for robot in results.robots for line in _robot(robot))
     blocks = _cameras(results), _distances(results), robots, _messages(results), _latency(results)
     return "\n\n".join(text for block in blocks if (text := "\n".join(block)))

@@ -3,12 +3,14 @@
 from html import escape
 
 from trigpoint import __version__
+from trigpoint.tools.networks.truth import MOST_SIGMAS
 from trigpoint.tools.pages.frame import (
     commands,
     html_page,
     note,
     scrolling,
     section,
+    table,
     warning,
 )
 from trigpoint.tools.pages.network_map import WIDE, NetworkMap, Way
@@ -17,9 +19,16 @@ from trigpoint.tools.report.calibration.tables import overview_table
 
 from .charts import distance_chart, latency_chart, robot_error_chart, uncertainty_chart
 from .closeups import closeups
-from .results import PAPER_DISTANCE_ERROR_M, DemoResults, Track
-from .tables import camera_words, kinds_table, message_table
+from .results import PAPER_DISTANCE_ERROR_M, Arrival, DemoResults, KindCount, Track
 from .tiles import headline, summary
+
+_ARRIVALS = {
+    Arrival.COMPLETE: ("complete", None),
+    Arrival.BROKEN: ("not complete", "bad-text"),
+    Arrival.UNKNOWN: ("a part began anew", "quiet"),
+    Arrival.BEST_EFFORT: ("best effort", "quiet"),
+}
+"""The words for it and their style."""
 
 
 def report_page(results: DemoResults, *, folder: str) -> str:
@@ -82,12 +91,27 @@ def _cameras(results: DemoResults, drawn: NetworkMap) -> str:
         "ring should mostly lie inside the dashed one. The numbers count the height too."
     )
     skipped = ["–" if c.skipped is None else str(c.skipped) for c in results.cameras]
-    table = overview_table(results.network, results.error, {"pictures<br>missed": skipped})
+    overview = overview_table(results.network, results.error, {"pictures<br>missed": skipped})
     plan = drawn.plan(WIDE, upright=False)
     return section(
-        "The cameras", note(words), closeups(results, plan), scrolling(table),
-        note(camera_words(results)),
+        "The cameras", note(words), closeups(results, plan), scrolling(overview),
+        note(_camera_words(results)),
     )  # fmt: skip
+
+
+def _camera_words(results: DemoResults) -> str:
+    """What the columns mean, and why a camera may have no numbers."""
+    words = (
+        "Sigma is the root of the trace of the camera's covariance. «Error in sigmas» weighs the "
+        f"place's error with the full covariance (Mahalanobis); more than {MOST_SIGMAS:.0f} would "
+        "be a failure. «Pictures missed» were made but not looked at, since the machine was busy."
+    )
+    unvisited = [camera.name for camera in results.cameras if not camera.came_by]
+    if unvisited:
+        words += f" The robot did not come by {', '.join(unvisited)} in this time."
+    if results.overload:
+        words += f" {results.overload.capitalize()}."
+    return words
 
 
 def _over_time(results: DemoResults) -> str:
@@ -95,7 +119,7 @@ def _over_time(results: DemoResults) -> str:
     if results.robots and len(results.robots[0].truth.t_s):
         words = "Where the robot is said to be, beside where it is"
         figures.append(_figure(words, robot_error_chart(results)))
-    if results.pairs:
+    if results.distances.pairs:
         figures.append(_figure("The distances between cameras", distance_chart(results)))
     if results.series:
         figures.append(_figure("How well each camera is known", uncertainty_chart(results)))
@@ -113,10 +137,32 @@ def _figure(title: str, chart: str) -> str:
 
 def _messages(results: DemoResults) -> str:
     every = element("details", element("summary", "Every key by itself"),
-                    scrolling(message_table(results)))  # fmt: skip
+                    scrolling(_message_table(results)))  # fmt: skip
     return section(
-        "The messages", note(_messages_words(results)), scrolling(kinds_table(results)), every
+        "The messages", note(_messages_words(results)), scrolling(_kinds_table(results)), every
     )
+
+
+def _kinds_table(results: DemoResults) -> str:
+    """One row a kind of key, the messages of its keys added up."""
+    rows = [_counts_row(kind, str(kind.keys)) for kind in results.kinds]
+    return table(("key", "keys", "sent", "received", "recorded", ""), rows)
+
+
+def _message_table(results: DemoResults) -> str:
+    """One row a key, with who received it."""
+    rows = [
+        _counts_row(results.counted(count.path, [count]), ", ".join(count.received) or "–")
+        for count in results.keys
+    ]
+    return table(("key", "received by", "sent", "received", "recorded", ""), rows)
+
+
+def _counts_row(count: KindCount, second: str) -> str:
+    cells = (element("code", escape(count.path)), escape(second), *count.numbers)
+    words, kind = _ARRIVALS[count.arrival]
+    shown = (element("td", cell) for cell in cells)
+    return element("tr", *shown, element("td", words, class_=kind))
 
 
 def _messages_words(results: DemoResults) -> str:

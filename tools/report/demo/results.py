@@ -1,6 +1,5 @@
 """What a run came to: the estimates beside the truth, in numbers. Pure."""
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum
@@ -43,16 +42,6 @@ class CameraResult:
         return self.came_by and self.error is None
 
 
-@dataclass(frozen=True, slots=True)
-class PairResult:
-    """The distance between two cameras: estimated minus true, and its sigma by the covariance."""
-
-    first: str
-    second: str
-    error_m: float
-    sigma_m: float
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
     """A way in the map: seconds since the world's start (n,), metres (n, 2), heading (n,)."""
@@ -72,7 +61,6 @@ class Track:
         return Track(t_s, np.stack([x, y], axis=-1), turned)
 
     def until(self, t_s: float) -> "Track":
-        """What was up to a moment."""
         kept = self.t_s <= t_s
         return Track(self.t_s[kept], self.places[kept], self.headings[kept])
 
@@ -98,7 +86,6 @@ class RobotResult:
     live: Track
     believed: Track
     smoothed: Track
-    corrections: int = 0
     suggestion: Pose | None = None
 
     def final_error(self, track: Track) -> FinalError | None:
@@ -131,8 +118,6 @@ class KeyCount:
 
 
 class Arrival(Enum):
-    """What became of the messages of some keys."""
-
     COMPLETE = "all"
     BROKEN = "NOT ALL"
     UNKNOWN = "a part began anew"
@@ -219,19 +204,13 @@ class DemoResults:
     @property
     def distances(self) -> Distances:
         """Between all located cameras."""
-        pairs = itertools.combinations(self.network.located, 2)
-        return distances(self.network, self.covariance, pairs)
+        return distances(self.network, self.covariance)
 
     @property
-    def pairs(self) -> list[PairResult]:
-        """Every pair of located cameras beside the truth."""
+    def distance_errors_m(self) -> Array:
+        """Of those `distances`: estimated minus true (n,)."""
         found, places = self.distances, {c.name: c.truth.translation for c in self.cameras}
-        return [
-            PairResult(a, b, metres - float(np.linalg.norm(places[b] - places[a])), sigma_m)
-            for (a, b), metres, sigma_m in zip(
-                found.pairs, found.metres.tolist(), found.sigmas_m.tolist(), strict=True
-            )
-        ]
+        return found.metres - [np.linalg.norm(places[b] - places[a]) for a, b in found.pairs]
 
     @property
     def kinds(self) -> list[KindCount]:
@@ -244,7 +223,6 @@ class DemoResults:
         return [self.counted(name, counts) for name, counts in groups.items()]
 
     def counted(self, path: str, counts: Sequence[KeyCount]) -> KindCount:
-        """The messages of keys of one kind, added up."""
         sent = [count.sent for count in counts if count.sent is not None]
         received = [min(count.received.values()) for count in counts if count.received]
         return KindCount(

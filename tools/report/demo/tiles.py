@@ -12,7 +12,6 @@ from .results import DemoResults
 
 
 def headline(results: DemoResults) -> str:
-    """The run in one sentence."""
     located, expected = len(results.located), len(results.expected)
     error = results.error.distance
     if located < expected:
@@ -24,7 +23,6 @@ def headline(results: DemoResults) -> str:
 
 
 def summary(results: DemoResults) -> str:
-    """Five numbers with what they mean."""
     return tiles(
         _located(results), _distance(results), _robot(results), _latency(results),
         _messages(results),

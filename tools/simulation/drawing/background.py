@@ -78,14 +78,8 @@ def _around(found: np.ndarray) -> slice:
 def _hits(
     eye: Array, rays: np.ndarray, nearest: np.ndarray, wall: Wall
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Which rays hit a wall before what is `nearest` so far, and `_meet`'s answers."""
-    share, along, height = _meet(eye, rays, wall)
-    return (share < nearest) & (height >= 0) & (height <= wall.height), share, along, height
-
-
-def _meet(eye: Array, rays: np.ndarray, wall: Wall) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Where rays meet a wall's plane: share of the ray, metres along the wall, height; the share is
-    far where they miss the wall between its ends."""
+    """Which rays hit a wall before what is `nearest` so far; and where they meet its plane: share
+    of the ray, metres along the wall, height."""
     run = wall.end - wall.start
     length = float(np.linalg.norm(run))
     across = np.array([-run[1], run[0]]) / length
@@ -95,8 +89,9 @@ def _meet(eye: Array, rays: np.ndarray, wall: Wall) -> tuple[np.ndarray, np.ndar
     # The camera's own wall, at most a few centimetres behind or before the eye, is not drawn.
     share = np.where(share > 0.05, share, _FAR)
     along = ((eye[:2] - wall.start) @ run + share * (rays[..., :2] @ run)) / length
-    share = np.where((along >= 0) & (along <= length), share, _FAR)
-    return share, along, eye[2] + share * rays[..., 2]
+    height = eye[2] + share * rays[..., 2]
+    seen = (share < nearest) & (along >= 0) & (along <= length)
+    return seen & (height >= 0) & (height <= wall.height), share, along, height
 
 
 def _floor_grey(eye: Array, rays: Array, floor_at: Array, walls: tuple[Wall, ...]) -> Array:

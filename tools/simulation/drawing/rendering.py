@@ -10,7 +10,6 @@ import numpy as np
 
 from trigpoint.geometry import Pose
 from trigpoint.tools.simulation.motion.actors import SimulatedRobot
-from trigpoint.tools.simulation.sight.rolling import at_rows
 from trigpoint.tools.simulation.world import World
 
 from .background import draw_background, vignette
@@ -23,8 +22,6 @@ _REACH = 2  # of the lens's blur, pixels
 
 
 class CameraRenderer:
-    """Takes one camera's pictures."""
-
     def __init__(self, world: World, camera: str, *, noise: bool = True) -> None:
         """`noise` False: without the sensor's noise, for tests of the geometry."""
         self._world = world
@@ -76,7 +73,9 @@ class CameraRenderer:
         canvas = Canvas(self._camera.model, self._rays, region, light[region].copy())
         if self._camera.line_delay_s:
             before = robot.map_from_base(seen_s).inverse()
-            canvas.onward = lambda v: before @ at_rows(self._camera, robot, t_s, v)
+            canvas.onward = lambda v: (
+                before @ robot.map_from_base(t_s + self._camera.row_delay_s(v))
+            )
         camera_from_map = self._camera.map_from_camera.inverse()
         draw_robot(canvas, robot, camera_from_map, self._instants(robot, seen_s))
         near = self._ground_distance(robot.map_from_base(t_s))

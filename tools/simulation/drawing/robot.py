@@ -44,7 +44,6 @@ class Canvas:
 
     @property
     def corner(self) -> Array:
-        """The first pixel's u and v."""
         return np.array([self.region[1].start, self.region[0].start], dtype=float)
 
 
@@ -53,7 +52,7 @@ def region_of(model: CameraModel, camera_from_base: Pose, target: Target) -> Reg
     points = camera_from_base @ _hull(target)
     if np.any(points[:, 2] < 0.1) or not _is_near_axis(model, points):
         return None
-    return _box(model, _projected(model, points), margin=6)
+    return _box(_projected(model, points), np.s_[: model.height, : model.width], margin=6)
 
 
 def draw_robot(
@@ -101,8 +100,7 @@ def _draw_sheet(canvas: Canvas, face: Face, poses: Pose, map_from_base: Pose) ->
 def _draw_face(canvas: Canvas, face: Face, poses: Pose, light: float) -> None:
     outline = poses @ face.base_from_face @ panel(face)
     pixels = _projected(canvas.model, outline.reshape(-1, 3))
-    box = _box(canvas.model, pixels, margin=2 if canvas.onward is None else _ROLLED_MARGIN)
-    box = box and _common(box, canvas.region)
+    box = _box(pixels, canvas.region, margin=2 if canvas.onward is None else _ROLLED_MARGIN)
     if box is None:
         return
     height, width = box[0].stop - box[0].start, box[1].stop - box[1].start
@@ -143,7 +141,6 @@ def _meet(texel_from_ray: Array, rays: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def _finer(pixels: slice) -> slice:
-    """The subpixels of pixels."""
     return slice(pixels.start * SUBPIXELS, pixels.stop * SUBPIXELS)
 
 
@@ -186,7 +183,6 @@ def _draw_mast(canvas: Canvas, camera_from_base: Pose, target: Target) -> None:
 
 
 def _draw_plate(canvas: Canvas, camera_from_base: Pose, face: Face) -> None:
-    """The thickness of the plate behind a sheet."""
     back = panel(face) + np.array([0, 0, 2 * HALF_THICKNESS])
     plate = camera_from_base @ face.base_from_face @ np.vstack([panel(face), back])
     _paint(canvas, plate, 170)
@@ -236,29 +232,19 @@ def _outside(model: CameraModel) -> float:
     return 1.1 * float(np.linalg.norm(model.directions(corners), axis=1).max())
 
 
-def _common(first: Region, second: Region) -> Region | None:
-    """The part that two parts share, or None."""
-    rows, columns = (
-        slice(max(a.start, b.start), min(a.stop, b.stop))
-        for a, b in zip(first, second, strict=True)
-    )
-    if rows.start >= rows.stop or columns.start >= columns.stop:
-        return None
-    return rows, columns
-
-
 def _is_near_axis(model: CameraModel, points: Array) -> bool:
     """Whether a point lies where the lens model still holds: not far outside the picture."""
     reach = np.hypot(max(model.cx, model.width) / model.fx, max(model.cy, model.height) / model.fy)
     return bool(np.any(np.hypot(points[:, 0], points[:, 1]) / points[:, 2] < 0.9 * reach))
 
 
-def _box(model: CameraModel, pixels: Array, *, margin: int) -> Region | None:
-    """The part of the picture around `pixels` (n, 2), or None where they are all outside."""
+def _box(pixels: Array, region: Region, *, margin: int) -> Region | None:
+    """The part of a region around `pixels` (n, 2), or None where they are all outside."""
+    rows, columns = region
     low = np.floor(pixels.min(axis=0)).astype(int) - margin
     high = np.ceil(pixels.max(axis=0)).astype(int) + margin + 1
-    left, top = np.maximum(low, 0)
-    right, bottom = np.minimum(high, [model.width, model.height])
+    left, top = np.maximum(low, [columns.start or 0, rows.start or 0])
+    right, bottom = np.minimum(high, [columns.stop, rows.stop])
     if left >= right or top >= bottom:
         return None
     return np.s_[int(top) : int(bottom), int(left) : int(right)]

@@ -72,7 +72,6 @@ def _printed(face: Face) -> np.ndarray:
 
 
 def charuco_board(face: Face) -> cv2.aruco.CharucoBoard:
-    """OpenCV's board of a face."""
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, str(face.dictionary)))
     ids = np.arange(face.first_marker, face.first_marker + face.marker_count, dtype=np.int32)
     size, marker = (face.columns, face.rows), float(face.marker or 0.0)

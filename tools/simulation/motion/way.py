@@ -20,6 +20,16 @@ from trigpoint.site.config import OdometryNoise
 from .odometry import half_turned
 
 
+def poses_at(stamps: np.ndarray, poses: Pose, moments: np.ndarray) -> Pose:
+    """Poses at moments (…) between those (n) of a way at `stamps` (n,), in its unit: from the one
+    before, the same share of the step's translation and turn; the nearest one beyond its ends."""
+    rows = np.clip(np.searchsorted(stamps, moments, "right") - 1, 0, len(stamps) - 2)
+    gap = stamps[rows + 1] - stamps[rows]
+    share = np.clip((moments - stamps[rows]) / gap, 0.0, 1.0)
+    before = poses[rows]
+    return before.disturbed(poses[rows + 1].difference(before) * share[..., None])
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Way:
     """True poses `map_from_base` (n) at moments `stamps_s` (n,) that hold every odometry message
@@ -32,13 +42,7 @@ class Way:
     def at(self, t_s: ArrayLike) -> Pose:
         """The pose at world times (…): exact at the stamps, the same share of a step's motion in
         between, held at both ends."""
-        t = np.clip(np.asarray(t_s, dtype=float), self.stamps_s[0], self.stamps_s[-1])
-        before = np.searchsorted(self.stamps_s, t, "right") - 1
-        before = np.clip(before, 0, len(self.stamps_s) - 2)
-        gap = self.stamps_s[before + 1] - self.stamps_s[before]
-        share = (t - self.stamps_s[before]) / gap
-        start, end = self.map_from_base[before], self.map_from_base[before + 1]
-        return start.disturbed(end.difference(start) * share[..., None])
+        return poses_at(self.stamps_s, self.map_from_base, np.asarray(t_s, dtype=float))
 
 
 def scattered(

@@ -8,7 +8,6 @@ is. Its clock starts at a time of its own and drifts, as a crystal does. `--link
 the pseudo-terminal; the bridge opens the link, and finds the new one after a restart.
 """
 
-import json
 import os
 import select
 import signal
@@ -18,6 +17,7 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Annotated, TextIO
 
+import msgspec
 import typer
 
 from trigpoint.base.clock import NANOSECONDS, to_ns
@@ -104,31 +104,24 @@ class Journal:
             map=str(applied.map_id),
             sequence=applied.sequence,
             establishes=applied.establishes,
-            map_from_base=_record(applied.map_from_base),
-            map_from_odom=_record(applied.map_from_odom),
+            map_from_base=PoseRecord.of(applied.map_from_base),
+            map_from_odom=PoseRecord.of(applied.map_from_odom),
         )
 
     def belief(self, stamp_ns: int, odom_from_base: Pose, map_from_base: Pose | None) -> None:
         self._write(
             kind="belief",
             stamp_ns=stamp_ns,
-            odom_from_base=_record(odom_from_base),
-            map_from_base=None if map_from_base is None else _record(map_from_base),
+            odom_from_base=PoseRecord.of(odom_from_base),
+            map_from_base=None if map_from_base is None else PoseRecord.of(map_from_base),
         )
 
     def _write(self, **fields: object) -> None:
         if self._file is not None:
-            self._file.write(json.dumps(fields) + "\n")
-
-
-def _record(pose: Pose) -> dict[str, tuple[float, ...]]:
-    record = PoseRecord.of(pose)
-    return {"translation": record.translation, "quaternion": record.quaternion}
+            self._file.write(msgspec.json.encode(fields).decode() + "\n")
 
 
 class SimulatedFirmware:
-    """One running robot."""
-
     def __init__(
         self, line: PseudoTerminal, speaker: Speaker, readings: Readings, journal: Journal
     ) -> None:

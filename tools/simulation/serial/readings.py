@@ -29,7 +29,6 @@ class Readings:
         return max(0, int(np.ceil((elapsed_s - self.log.stamps_s[0]) / self.period_s)))
 
     def unix_ns(self, number: int) -> int:
-        """When a reading is taken."""
         return self.epoch_ns + to_ns(float(self.log.stamps_s[0]) + number * self.period_s)
 
     def number(self, unix_ns: int) -> int:

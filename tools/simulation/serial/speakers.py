@@ -3,8 +3,9 @@
 Each is the vendor's side of the line as its documents have it, told by the robot's readings alone.
 """
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -42,35 +43,35 @@ class FirmwareClock:
         return self.start_ns + round(own_ns / (1 + self.drift_ppm * 1e-6))
 
 
-class Speaker(Protocol):
-    """One robot's end of the line. Times are Unix."""
+class Speaker(ABC):
+    """One robot's end of the line, which by itself takes no corrections. Times are Unix."""
+
+    @abstractmethod
+    def receive(self, data: bytes, unix_ns: int) -> bytes:
+        """Answer what came."""
+
+    @abstractmethod
+    def speak(self, unix_ns: int) -> bytes:
+        """What is due by now."""
+
+    @abstractmethod
+    def due_ns(self) -> int:
+        """When it speaks next."""
 
     def begin(self) -> bytes:
         """What it says when it is switched on."""
-        ...
-
-    def receive(self, data: bytes, unix_ns: int) -> bytes:
-        """Answer what came."""
-        ...
-
-    def speak(self, unix_ns: int) -> bytes:
-        """What is due by now."""
-        ...
-
-    def due_ns(self) -> int:
-        """When it speaks next."""
-        ...
+        return b""
 
     def applied(self) -> list[tuple[Applied, int]]:
         """Corrections that were taken over since this was asked last, with their moments."""
-        ...
+        return []
 
-    def believed(self, unix_ns: int) -> Pose | None:
+    def believed(self, unix_ns: int) -> Pose | None:  # noqa: ARG002 - it never knows
         """Where the robot believes it is; None where it does not know, or cannot."""
-        ...
+        return None
 
 
-class TrigpointSpeaker:
+class TrigpointSpeaker(Speaker):
     """Our own firmware; `zero`: the counters restart, so its odometry starts at the origin."""
 
     def __init__(
@@ -109,20 +110,7 @@ class TrigpointSpeaker:
         return self._endpoint.map_from_base
 
 
-class _TakesNothing:
-    """For robots that are not told where they are."""
-
-    def begin(self) -> bytes:
-        return b""
-
-    def applied(self) -> list[tuple[Applied, int]]:
-        return []
-
-    def believed(self, unix_ns: int) -> Pose | None:  # noqa: ARG002 - it never knows
-        return None
-
-
-class Create2Speaker(_TakesNothing):
+class Create2Speaker(Speaker):
     """iRobot's Open Interface: streams both encoders every 15 ms when it is asked to."""
 
     def __init__(self, readings: Readings, start_ns: int) -> None:
@@ -159,7 +147,7 @@ class Create2Speaker(_TakesNothing):
         return self._due_ns
 
 
-class ArduinoSpeaker(_TakesNothing):
+class ArduinoSpeaker(Speaker):
     """ros_arduino_bridge's sketch: answers `e` and `r`, each ended by a carriage return."""
 
     def __init__(self, readings: Readings, start_ns: int) -> None:
@@ -195,7 +183,7 @@ class ArduinoSpeaker(_TakesNothing):
         return self._start_ns
 
 
-class MavlinkSpeaker:
+class MavlinkSpeaker(Speaker):
     """A rover's autopilot: ODOMETRY, heartbeats, answers to TIMESYNC; hears where it is."""
 
     def __init__(self, readings: Readings, clock: FirmwareClock) -> None:
@@ -206,9 +194,6 @@ class MavlinkSpeaker:
         self._ears.robust_parsing = True
         self._heartbeat_due_ns = 0
         self._map_from_odom: Pose | None = None
-
-    def begin(self) -> bytes:
-        return b""
 
     def receive(self, data: bytes, unix_ns: int) -> bytes:
         answer = b""
@@ -256,9 +241,6 @@ class MavlinkSpeaker:
 
     def due_ns(self) -> int:
         return self._readings.unix_ns(self._next)
-
-    def applied(self) -> list[tuple[Applied, int]]:
-        return []
 
     def believed(self, unix_ns: int) -> Pose | None:
         if self._map_from_odom is None:

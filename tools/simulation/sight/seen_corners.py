@@ -65,16 +65,9 @@ def seen_faces(
     map_from_camera: Pose,
     model: CameraModel,
     walls: tuple[Wall, ...],
-    others: tuple[tuple[Target, Pose], ...] = (),
 ) -> list[SeenFace]:
-    """Every face that shows its front, with the corners that nothing hides; it may have none.
-
-    `others`: the other robots' targets with their map_from_base; they may stand in between.
-    """
-    there = tuple((other, Pose.stack([pose])) for other, pose in others)
-    [faces] = seen_faces_each(
-        target, Pose.stack([map_from_base]), map_from_camera, model, walls, there
-    )
+    """`seen_faces_each` of a robot at one pose, with no other in between."""
+    [faces] = seen_faces_each(target, Pose.stack([map_from_base]), map_from_camera, model, walls)
     return faces
 
 
@@ -86,7 +79,9 @@ def seen_faces_each(
     walls: tuple[Wall, ...],
     others: tuple[tuple[Target, Pose], ...] = (),
 ) -> list[list[SeenFace]]:
-    """`seen_faces` for each of many poses (n) of the robot, and of the others."""
+    """For each of many poses (n) of the robot every face that shows its front, with the corners
+    that nothing hides; it may have none. `others`: the other robots' targets with their
+    map_from_base (n); they may stand in between."""
     found: list[list[SeenFace]] = [[] for _ in range(len(map_from_base))]
     near = np.flatnonzero(may_be_seen(target, map_from_base, map_from_camera, model))
     if not len(near):

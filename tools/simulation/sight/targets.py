@@ -2,11 +2,10 @@
 either side of each."""
 
 from functools import cache
-from typing import Any
 
 import numpy as np
 
-from trigpoint.site.target import Face, Pattern, Target
+from trigpoint.site.target import NOWHERE, Face, Pattern, Target
 from trigpoint.tools.shapes.bodies import VANE_HEIGHT, vane_faces
 from trigpoint.tools.shapes.upright import MARGIN_M
 
@@ -15,23 +14,11 @@ from trigpoint.tools.shapes.upright import MARGIN_M
 def target_of(choice: str) -> Target:
     """`checkerboard`: the paper's boards, all alike. `charuco`: larger squares, as a marker can be
     read only where it takes about 15 pixels."""
-    here: dict[str, Any] = {
-        "id": 0,
-        "translation": (0.0, 0.0, 0.0),
-        "quaternion": (0.0, 0.0, 0.0, 1.0),
-    }
     if choice == "checkerboard":
-        plain = Face(pattern=Pattern.CHECKERBOARD, columns=9, rows=7, square=0.0285, **here)
+        plain = Face(0, Pattern.CHECKERBOARD, 9, 7, 0.0285, *NOWHERE)
     else:
-        plain = Face(
-            pattern=Pattern.CHARUCO,
-            columns=5,
-            rows=4,
-            square=0.06,
-            marker=0.045,
-            dictionary="DICT_4X4_250",
-            **here,
-        )
+        markers = {"marker": 0.045, "dictionary": "DICT_4X4_250"}
+        plain = Face(0, Pattern.CHARUCO, 5, 4, 0.06, *NOWHERE, **markers)
     return Target("three-plane", vane_faces(plain, height=VANE_HEIGHT))
 
 

@@ -53,6 +53,19 @@ class CameraConfig(Struct, frozen=True, forbid_unknown_fields=True):
             )
 
     @property
+    def scheme(self) -> str:
+        """What stands before :// in its source."""
+        return self.source.partition("://")[0]
+
+    @property
+    def file(self) -> str | None:
+        """The path on a machine that its source is, None where it is none."""
+        if self.scheme not in ("v4l2", "dir", "file"):
+            return None
+        place = self.source.partition("://")[2].partition("?")[0]
+        return f"/dev/video{place}" if self.scheme == "v4l2" and place.isdigit() else place
+
+    @property
     def readout_s(self) -> float:
         """Time between the exposures of the first and the last row, in either direction."""
         return abs(self.line_delay) * (self.height - 1)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.pictures.boards import NOWHERE, target_of
+from support.pictures.boards import target_of
 from support.pictures.lens_views import BOARD, PINHOLE, SIZE, board_views
 
 from trigpoint.base.errors import InputError, OperationError
@@ -14,9 +14,9 @@ from trigpoint.edge.lens.calibration_service import CalibrationService
 from trigpoint.edge.lens.calibration_views import View, views_of
 from trigpoint.geometry.rotation import Array
 from trigpoint.site.camera_info import parse_camera_info
-from trigpoint.site.target import Face, Pattern, Target
+from trigpoint.site.target import NOWHERE, Face, Pattern, Target
 
-FACE = Face(0, Pattern.CHECKERBOARD, 9, 7, 0.03, **NOWHERE)
+FACE = Face(0, Pattern.CHECKERBOARD, 9, 7, 0.03, *NOWHERE)
 TARGET = target_of(FACE)
 
 
@@ -140,8 +140,8 @@ def test_views_are_of_faces_with_corners_enough_that_are_not_on_a_line() -> None
 
 
 def test_face_that_looks_like_others_is_a_view_but_one_of_unknown_shape_is_none() -> None:
-    other = Face(1, Pattern.CHECKERBOARD, 9, 7, 0.03, **NOWHERE)
-    larger = Face(2, Pattern.CHECKERBOARD, 10, 8, 0.03, **NOWHERE)
+    other = Face(1, Pattern.CHECKERBOARD, 9, 7, 0.03, *NOWHERE)
+    larger = Face(2, Pattern.CHECKERBOARD, 10, 8, 0.03, *NOWHERE)
     seen = sighting(board_views(1, 6)[0], face=-1)
     assert len(views_of("p", [seen], [Target(TARGET.name, (FACE, other))])) == 1
     assert len(views_of("p", [seen], [Target(TARGET.name, (FACE, other, larger))])) == 1

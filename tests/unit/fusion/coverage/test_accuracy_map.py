@@ -5,6 +5,7 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 import pytest
+from support.fusion.networks import located
 
 from benchmarks.fusion.accuracy_map import drawn
 from benchmarks.fusion.hall import hall
@@ -19,8 +20,6 @@ from trigpoint.fusion.estimators.results import Results
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.map.network import (
-    CameraRecord,
-    IntrinsicsRecord,
     Network,
     PoseRecord,
     Statistics,
@@ -46,15 +45,8 @@ def network_of(*names: str) -> Network:
     cameras = {}
     for index, name in enumerate(names):
         camera = WORLD.cameras[name]
-        block = joint[6 * index : 6 * index + 6, 6 * index : 6 * index + 6]
-        cameras[name] = CameraRecord(
-            "located",
-            map_from_camera=PoseRecord.of(camera.map_from_camera),
-            covariance=tuple(block.reshape(-1).tolist()),
-            intrinsics=IntrinsicsRecord.of(camera.model, np.zeros(9)),
-            sightings=9,
-            reprojection_rms=0.15,
-        )
+        known = {"lens": camera.model, "sightings": 9, "reprojection_rms": 0.15}
+        cameras[name] = located(camera.map_from_camera, joint, index, **known)
     return Network("hall", "uuid", "smoother", cameras, {}, Statistics(1.0, 3))
 
 

@@ -12,16 +12,15 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
 from support.builders import make_odometry, site_text
+from support.commands import Cli
+from support.fusion.networks import located
 
 from trigpoint.cli import run
 from trigpoint.contract import cdr
 from trigpoint.contract.topics import ODOMETRY
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.map.network import (
-    CameraRecord,
-    IntrinsicsRecord,
     Network,
-    PoseRecord,
     Statistics,
     decode_tum,
     encode_network,
@@ -36,16 +35,7 @@ POSES = {"c1": Pose.planar(1.0, 2.0, 0.3), "c2": Pose.planar(-1.0, 0.5, -1.2)}
 
 
 def network() -> Network:
-    intrinsics = IntrinsicsRecord.of(LENS, np.zeros(len(LENS.parameters)))
-    cameras = {
-        name: CameraRecord(
-            "located",
-            map_from_camera=PoseRecord.of(pose),
-            covariance=tuple(np.eye(6).reshape(-1).tolist()),
-            intrinsics=intrinsics,
-        )
-        for name, pose in POSES.items()
-    }
+    cameras = {name: located(pose, np.eye(6), lens=LENS) for name, pose in POSES.items()}
     return Network("lab", "id", "smoother", cameras, {}, Statistics(None, 0))
 
 
@@ -161,10 +151,8 @@ def test_layouts_name_topics_that_are_there(exported: Path) -> None:
 
 
 def test_without_a_network_its_formats_are_refused(
-    session_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    session_file: Path, tmp_path: Path, cli: Cli
 ) -> None:
     words = ["export", str(session_file), "--out", str(tmp_path)]
-    assert run([*words, "--format", "kalibr"]) == 2
-    assert "trigpoint calibrate" in capsys.readouterr().err
-    assert run([*words, "--format", "word"]) == 2
-    assert "there is none such" in capsys.readouterr().err
+    assert "trigpoint calibrate" in cli.refused(*words, "--format", "kalibr")
+    assert "there is none such" in cli.refused(*words, "--format", "word")

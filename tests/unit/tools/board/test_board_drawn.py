@@ -2,7 +2,6 @@
 
 import io
 import math
-import shutil
 import threading
 import time
 from collections.abc import Iterator
@@ -10,7 +9,9 @@ from pathlib import Path
 
 import pytest
 from PIL import Image
-from playwright.sync_api import Browser, Page, expect, sync_playwright
+from playwright.sync_api import Browser, Page, expect
+from support.browser import PATIENCE_MS, browser, chromium, is_patient, needs_chromium
+from support.browser import opened as opened_page
 from support.builders import make_site, site_text
 from support.site.board_desk import Desk, served_board
 from support.site.board_site import BoardSite, Truth, run
@@ -20,18 +21,12 @@ from trigpoint.contract.messages import Picture
 from trigpoint.contract.topics import command_key
 from trigpoint.site.config import Site, parse_site
 
-CHROMIUM = shutil.which("chromium")
-PATIENCE_MS = 120_000  # it takes a second, but a busy machine far more
+__all__ = ["browser", "chromium"]  # the fixtures
+
 TRUTH = Truth(9, 3, is_still=True)
 UNLOCATED, UNSEEN = 1, 2
 
-pytestmark = [
-    pytest.mark.skipif(
-        CHROMIUM is None, reason="there is no Chromium here; install Debian's package «chromium»"
-    ),
-    pytest.mark.timeout(4 * PATIENCE_MS / 1000),
-]
-
+pytestmark = [needs_chromium, is_patient]
 PLACE = """([layer, name]) => {
   const mark = document.querySelector(`#${layer} [data-id="${name}"]`);
   const at = new DOMPoint(0, 0).matrixTransform(mark.getScreenCTM());
@@ -43,32 +38,9 @@ PLACE = """([layer, name]) => {
 """Where a mark is on the screen, in the map, and which way it points: as it is laid out."""
 
 
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Browser]:
-    with sync_playwright() as playwright:
-        opened = playwright.chromium.launch(
-            executable_path=CHROMIUM, args=["--no-sandbox"], timeout=PATIENCE_MS
-        )
-        yield opened
-        opened.close()
-
-
-@pytest.fixture
-def browser(chromium: Browser) -> Iterator[Browser]:
-    """One browser for all tests; what a test opens, with its memory, is closed behind it."""
-    yield chromium
-    for context in chromium.contexts:
-        context.close()
-
-
 def opened(browser: Browser, address: str, **settings: object) -> tuple[Page, list[str]]:
     """A page that shows robots, and what its console has said."""
-    page = browser.new_page(**settings)  # pyright: ignore
-    page.set_default_timeout(PATIENCE_MS)
-    said: list[str] = []
-    page.on("console", lambda message: said.append(message.text))
-    page.on("pageerror", lambda error: said.append(str(error)))
-    page.goto(address)
+    page, said = opened_page(browser, address, **settings)
     page.wait_for_selector('#robots [data-id="robot/r3"]')
     page.wait_for_selector('#cameras [data-id="camera/c9"].located')
     return page, said

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from support.builders import TARGET_TEXT, site_text
+from support.commands import Cli
 
 from trigpoint.base.errors import ConfigError
 from trigpoint.cli import run
@@ -36,20 +37,16 @@ def site_file(folder: Path, **settings: str) -> Path:
     ],
 )
 def test_bad_use_is_one_line_and_status_2(
-    words: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    words: list[str], said: str, tmp_path: Path, cli: Cli
 ) -> None:
-    assert run(["board", "--site", str(site_file(tmp_path)), *words]) == 2
-    error = capsys.readouterr().err
+    error = cli.refused("board", "--site", site_file(tmp_path), *words)
     assert said in error
     assert error.count("\n") == 1
 
 
-def test_a_plan_that_is_not_there_is_said(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_plan_that_is_not_there_is_said(tmp_path: Path, cli: Cli) -> None:
     site = site_file(tmp_path, more='[map]\nplan = "hall.yaml"')
-    assert run(["board", "--site", str(site)]) == 2
-    assert "hall.yaml" in capsys.readouterr().err
+    assert "hall.yaml" in cli.refused("board", "--site", site)
 
 
 def test_only_an_operators_certificate_opens_commands(tmp_path: Path) -> None:

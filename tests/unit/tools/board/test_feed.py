@@ -6,7 +6,8 @@ import json
 import pytest
 
 from trigpoint.tools.board.entities import apply, difference
-from trigpoint.tools.board.feed import MOST_PAGES, MOST_WAITING, Feed, TooManyPagesError
+from trigpoint.tools.board.feed import MOST_PAGES, MOST_WAITING, Feed
+from trigpoint.tools.web.pages import TooManyPagesError
 
 
 def messages(data: bytes) -> list[dict]:

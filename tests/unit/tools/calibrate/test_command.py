@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.fusion.drives import Session, lab_plan, make_session, offline, write_session
+from support.commands import Cli
+from support.fusion.drives import Session, offline, write_session
 
 from trigpoint.cli import run
 from trigpoint.contract.messages import Message, Odometry, Sightings
@@ -18,16 +19,6 @@ from trigpoint.tools.shapes.text import target_text
 
 
 @pytest.fixture(scope="module")
-def session() -> Session:
-    return make_session(lab_plan(picture_rate=1.0))
-
-
-@pytest.fixture(scope="module")
-def recorded(session: Session, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_session(session, tmp_path_factory.mktemp("session"))
-
-
-@pytest.fixture(scope="module")
 def expected(recorded: Path) -> bytes:
     """What the estimator makes of the session, without the command."""
     recording = open_recording(recorded)
@@ -35,20 +26,10 @@ def expected(recorded: Path) -> bytes:
     return encode_network(calibrated(recording, inputs).network)
 
 
-def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    """The one line on standard error of a command that ends with status 2."""
-    assert run(["calibrate", *map(str, arguments)]) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert captured.err.count("\n") == 1
-    return captured.err
-
-
 def test_session_gives_the_network_its_trajectories_and_a_table(
-    recorded: Path, expected: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    recorded: Path, expected: bytes, tmp_path: Path, cli: Cli
 ) -> None:
-    assert run(["calibrate", str(recorded), "--out", str(tmp_path)]) == 0
-    out = capsys.readouterr().out
+    out = cli("calibrate", recorded, "--out", tmp_path).out
     assert (tmp_path / "network.json").read_bytes() == expected
     rows = [line.split() for line in out.splitlines() if line.startswith("c") and "located" in line]
     assert [row[0] for row in rows] == ["c1", "c2", "c3"]
@@ -61,8 +42,8 @@ def test_session_gives_the_network_its_trajectories_and_a_table(
     assert len(stamps_ns) == 441
 
 
-def test_network_is_that_of_the_messages_themselves(session: Session, expected: bytes) -> None:
-    network, direct = decode_network(expected), offline(session).network
+def test_network_is_that_of_the_messages_themselves(drive: Session, expected: bytes) -> None:
+    network, direct = decode_network(expected), offline(drive).network
     assert network.map_id == direct.map_id
     for name, record in direct.cameras.items():
         mine = network.cameras[name].map_from_camera
@@ -74,31 +55,30 @@ def test_network_is_that_of_the_messages_themselves(session: Session, expected: 
 
 
 def test_results_lie_beside_the_session_where_nothing_else_is_said(
-    session: Session, tmp_path: Path, expected: bytes, capsys: pytest.CaptureFixture[str]
+    drive: Session, tmp_path: Path, expected: bytes, cli: Cli
 ) -> None:
-    folder = write_session(session, tmp_path / "drive")
+    folder = write_session(drive, tmp_path / "drive")
     (folder / "truth.json").unlink()
-    assert run(["calibrate", str(folder / "session.mcap")]) == 0
+    said = cli("calibrate", folder / "session.mcap").out
     assert (folder / "calibration" / "network.json").read_bytes() == expected
-    assert "error" not in capsys.readouterr().out  # without the truth there is none to state
+    assert "error" not in said  # without the truth there is none to state
 
 
 def test_json_is_the_network_file_and_nothing_else(
-    recorded: Path, expected: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    recorded: Path, expected: bytes, tmp_path: Path, cli: Cli
 ) -> None:
-    assert run(["calibrate", str(recorded), "--json", "--out", str(tmp_path)]) == 0
-    out = capsys.readouterr().out
+    out = cli("calibrate", recorded, "--json", "--out", tmp_path).out
     assert out.encode() == expected
     assert json.loads(out)["format"] == "trigpoint-network/1"
 
 
 def test_site_file_is_used_instead_of_the_attached_one(
-    session: Session, recorded: Path, tmp_path: Path
+    drive: Session, recorded: Path, tmp_path: Path
 ) -> None:
-    site = session.inputs.site.text.replace('site = "lab"', 'site = "hall"')
+    site = drive.inputs.site.text.replace('site = "lab"', 'site = "hall"')
     site = site.replace("[cameras.c3]", "[cameras.c9]")
     (tmp_path / "site.toml").write_text(site)
-    (tmp_path / "r1.toml").write_text(target_text(session.inputs.targets["r1"]))
+    (tmp_path / "r1.toml").write_text(target_text(drive.inputs.targets["r1"]))
     out = tmp_path / "out"
     arguments = ["--site", str(tmp_path / "site.toml"), "--out", str(out)]
     assert run(["calibrate", str(recorded), *arguments]) == 0
@@ -112,13 +92,13 @@ def test_site_file_is_used_instead_of_the_attached_one(
 
 
 def test_surveyed_cameras_lay_the_map_over_the_building(
-    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    recorded: Path, tmp_path: Path, cli: Cli
 ) -> None:
     truth = json.loads((recorded / "truth.json").read_text())["cameras"]
     places = {name: pose["translation"] for name, pose in truth.items()}
     here = _mapped(recorded, tmp_path, {n: [x + 50, y - 20, z] for n, (x, y, z) in places.items()})
-    assert run(["calibrate", str(recorded), "--site", str(here), "--out", str(tmp_path)]) == 0
-    assert "the map in building: (50.0" in capsys.readouterr().out
+    said = cli("calibrate", recorded, "--site", here, "--out", tmp_path).out
+    assert "the map in building: (50.0" in said
     record = json.loads((tmp_path / "alignment.json").read_text())
     assert record["frame_from_map"]["translation"] == pytest.approx([50, -20, 0], abs=0.1)
     aligned = load_network(tmp_path / "building")
@@ -126,8 +106,9 @@ def test_surveyed_cameras_lay_the_map_over_the_building(
     assert "The map in the building" in (tmp_path / "report.html").read_text()
 
     wrong = _mapped(recorded, tmp_path, {n: [9 * x, y, z] for n, (x, y, z) in places.items()})
-    said = refused_after_work(capsys, recorded, "--site", wrong, "--out", tmp_path / "again")
-    assert "the surveyed points contradict the map" in said
+    words = ["calibrate", recorded, "--site", wrong, "--out", tmp_path / "again"]
+    last = cli(*words, status=2).err.splitlines()[-1]
+    assert "the surveyed points contradict the map" in last
     assert (tmp_path / "again" / "network.json").exists()
 
 
@@ -139,12 +120,6 @@ def _mapped(recorded: Path, folder: Path, places: dict[str, list[float]]) -> Pat
         (folder / name).write_bytes(data)
     (folder / "mapped.toml").write_text("\n".join([text, *rows]))
     return folder / "mapped.toml"
-
-
-def refused_after_work(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    """The last line on standard error of a command that ends with status 2."""
-    assert run(["calibrate", *map(str, arguments)]) == 2
-    return capsys.readouterr().err.splitlines()[-1]
 
 
 def test_known_network_is_the_prior(recorded: Path, tmp_path: Path) -> None:
@@ -159,63 +134,59 @@ def test_known_network_is_the_prior(recorded: Path, tmp_path: Path) -> None:
 
 
 def test_site_that_learns_nothing_is_refused(
-    recorded: Path, session: Session, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    recorded: Path, drive: Session, tmp_path: Path, cli: Cli
 ) -> None:
-    (tmp_path / "r1.toml").write_text(target_text(session.inputs.targets["r1"]))
+    (tmp_path / "r1.toml").write_text(target_text(drive.inputs.targets["r1"]))
     site = tmp_path / "site.toml"
-    site.write_text(session.inputs.site.text + "\n[fusion]\nlearn = false\n")
-    said = refused(capsys, recorded, "--site", site)
+    site.write_text(drive.inputs.site.text + "\n[fusion]\nlearn = false\n")
+    said = cli.refused("calibrate", recorded, "--site", site)
     assert "learn = false: the site's network is fixed, and calibrate works one out" in said
 
 
 def test_network_without_its_covariance_is_refused(
-    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    recorded: Path, tmp_path: Path, cli: Cli
 ) -> None:
     assert run(["calibrate", str(recorded), "--out", str(tmp_path)]) == 0
     (tmp_path / "covariance.npz").unlink()
-    capsys.readouterr()
-    line = refused(capsys, recorded, "--network", tmp_path / "network.json")
+    line = cli.refused("calibrate", recorded, "--network", tmp_path / "network.json")
     assert "keep covariance.npz beside network.json" in line
 
 
-def test_missing_session_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert "there is no such session" in refused(capsys, tmp_path / "none.mcap")
-    assert "no .mcap file in this folder" in refused(capsys, tmp_path)
+def test_missing_session_is_named(tmp_path: Path, cli: Cli) -> None:
+    assert "there is no such session" in cli.refused("calibrate", tmp_path / "none.mcap")
+    assert "no .mcap file in this folder" in cli.refused("calibrate", tmp_path)
 
 
 def test_place_that_cannot_be_written_is_told_before_the_work(
-    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch
+    recorded: Path, tmp_path: Path, cli: Cli, monkeypatch
 ) -> None:
     monkeypatch.setattr(
         "trigpoint.tools.calibrate.command.fed", lambda *_, **__: pytest.fail("too late")
     )
     taken = tmp_path / "taken"
     taken.touch()
-    assert "is a file" in refused(capsys, recorded, "--out", taken)
-    assert run(["calibrate", str(recorded), "--out", str(taken / "below")]) == 1
-    line = capsys.readouterr().err
+    assert "is a file" in cli.refused("calibrate", recorded, "--out", taken)
+    line = cli("calibrate", recorded, "--out", taken / "below", status=1).err
     assert "taken/below: cannot be written" in line
     assert line.count("\n") == 1
 
 
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04 another kind of file"])
-def test_foreign_or_empty_file_is_named(
-    tmp_path: Path, content: bytes, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_foreign_or_empty_file_is_named(tmp_path: Path, content: bytes, cli: Cli) -> None:
     path = tmp_path / "session.mcap"
     path.write_bytes(content)
-    assert str(path) in refused(capsys, path)
+    assert str(path) in cli.refused("calibrate", path)
 
 
 def test_truncated_session_is_used_as_far_as_it_goes(
-    session: Session, recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    drive: Session, recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     data = (recorded / "session.mcap").read_bytes()
     path = tmp_path / "session.mcap"
     path.write_bytes(data[: len(data) * 9 // 10])
     site = tmp_path / "site.toml"
-    site.write_text(session.inputs.site.text)
-    (tmp_path / "r1.toml").write_text(target_text(session.inputs.targets["r1"]))
+    site.write_text(drive.inputs.site.text)
+    (tmp_path / "r1.toml").write_text(target_text(drive.inputs.targets["r1"]))
     status = run(["calibrate", str(path), "--site", str(site), "--out", str(tmp_path / "out")])
     captured = capsys.readouterr()
     # One chunk of so short a drive: it is either read or said to hold nothing.
@@ -231,40 +202,36 @@ def only(session: Session, kind: type) -> Session:
     return replace(session, messages=messages)
 
 
-def test_session_without_odometry_is_refused(
-    session: Session, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    folder = write_session(only(session, Sightings), tmp_path)
-    assert "no odometry of a robot is in it; record a drive" in refused(capsys, folder)
+def test_session_without_odometry_is_refused(drive: Session, tmp_path: Path, cli: Cli) -> None:
+    folder = write_session(only(drive, Sightings), tmp_path)
+    assert "no odometry of a robot is in it; record a drive" in cli.refused("calibrate", folder)
 
 
 def test_session_of_a_robot_that_the_site_file_lacks_is_refused(
-    session: Session, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    drive: Session, tmp_path: Path, cli: Cli
 ) -> None:
     named = tuple(
         ("cart" if isinstance(message, Odometry) else node, message)
-        for node, message in session.messages
+        for node, message in drive.messages
     )
-    folder = write_session(replace(session, messages=named), tmp_path)
-    assert "it is of robot cart, and the site file has only r1; use the same names" in refused(
-        capsys, folder
+    folder = write_session(replace(drive, messages=named), tmp_path)
+    assert "it is of robot cart, and the site file has only r1; use the same names" in cli.refused(
+        "calibrate", folder
     )
 
 
 def test_session_without_sightings_has_unseen_cameras(
-    session: Session, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    drive: Session, tmp_path: Path, cli: Cli
 ) -> None:
-    folder = write_session(only(session, Odometry), tmp_path)
-    assert run(["calibrate", str(folder)]) == 0
-    assert capsys.readouterr().out.count("unseen") == 3
+    folder = write_session(only(drive, Odometry), tmp_path)
+    assert cli("calibrate", folder).out.count("unseen") == 3
 
 
 @pytest.mark.parametrize("estimator", ["magic", "EKF"])
 def test_estimator_that_is_not_there_is_refused(
-    recorded: Path, estimator: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    recorded: Path, estimator: str, tmp_path: Path, cli: Cli
 ) -> None:
-    assert run(["calibrate", str(recorded), "--estimator", estimator, "--out", str(tmp_path)]) == 2
-    captured = capsys.readouterr()
+    captured = cli("calibrate", recorded, "--estimator", estimator, "--out", tmp_path, status=2)
     assert captured.out == ""
     assert estimator in captured.err
     assert not (tmp_path / "network.json").exists()
@@ -280,13 +247,10 @@ def _strange(node: str, message: Message) -> Message:
     return message
 
 
-def test_what_was_left_out_is_said(
-    session: Session, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    strange = tuple((n, _strange(n, m)) for n, m in session.messages)
-    folder = write_session(replace(session, messages=strange), tmp_path)
-    assert run(["calibrate", str(folder)]) == 0
-    captured = capsys.readouterr()
+def test_what_was_left_out_is_said(drive: Session, tmp_path: Path, cli: Cli) -> None:
+    strange = tuple((n, _strange(n, m)) for n, m in drive.messages)
+    folder = write_session(replace(drive, messages=strange), tmp_path)
+    captured = cli("calibrate", folder)
     assert "wrong size" in captured.err
     assert "note: camera c3 sends pictures of 1280 × 480" in captured.err
     assert "«other» that no robot" in captured.err

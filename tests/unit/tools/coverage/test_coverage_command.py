@@ -8,14 +8,13 @@ import cv2
 import numpy as np
 import pytest
 from ruamel.yaml import YAML
+from support.commands import Cli
+from support.fusion.networks import located
 
 from trigpoint.cli import run
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.map.network import (
-    CameraRecord,
-    IntrinsicsRecord,
     Network,
-    PoseRecord,
     RobotRecord,
     Statistics,
     TargetRecord,
@@ -45,22 +44,14 @@ horizontal_fov = 60.0
 """
 
 
-def record(index: int, place: tuple[float, float, float], yaw: float, joint: np.ndarray):
-    block = joint[6 * index : 6 * index + 6, 6 * index : 6 * index + 6]
-    return CameraRecord(
-        "located",
-        map_from_camera=PoseRecord.of(Pose(looking(yaw, 35.0, 0.0), np.array(place))),
-        covariance=tuple(block.reshape(-1).tolist()),
-        intrinsics=IntrinsicsRecord.of(LENS, np.zeros(9)),
-        sightings=9,
-        reprojection_rms=0.15,
-    )
-
-
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     joint = np.diag([4e-6, 4e-6, 4e-6, 1e-7, 1e-7, 1e-7] * 2)
-    cameras = {n: record(i, *at, joint) for i, (n, at) in enumerate(PLACES.items())}
+    known = {"lens": LENS, "sightings": 9, "reprojection_rms": 0.15}
+    cameras = {
+        name: located(Pose(looking(yaw, 35.0, 0.0), np.array(place)), joint, index, **known)
+        for index, (name, (place, yaw)) in enumerate(PLACES.items())
+    }
     robot = RobotRecord("r1.tum", 1.0, 1.0, None, TargetRecord(()))
     network = Network("lab", "uuid", "smoother", cameras, {"r1": robot}, Statistics(1.0, 3))
     stamps = np.arange(30) * 10**8
@@ -77,19 +68,19 @@ def folder(tmp_path: Path) -> Path:
 
 
 def test_the_floor_in_figures_and_the_best_place_for_one_more_camera(
-    folder: Path, capsys: pytest.CaptureFixture[str]
+    folder: Path, cli: Cli
 ) -> None:
     places = str(folder / "places.toml")
-    assert run(["coverage", str(folder / "network"), "--driven", "--add", places]) == 0
-    said = capsys.readouterr().out
+    said = cli("coverage", folder / "network", "--driven", "--add", places).out
     assert "r1 is corrected" in said
     assert said.index("beside") < said.index("far")
 
 
-def test_the_same_as_json(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_same_as_json(folder: Path, cli: Cli) -> None:
     places = str(folder / "places.toml")
-    assert run(["coverage", str(folder / "network"), "--driven", "--add", places, "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
+    found = json.loads(
+        cli("coverage", folder / "network", "--driven", "--add", places, "--json").out
+    )
     [one] = found["maps"]
     areas = [each["area_m2"] for each in one["corrected"]]
     assert areas == sorted(areas)
@@ -160,11 +151,8 @@ def test_only_the_floor_that_was_driven(folder: Path) -> None:
         (["--add", "none.toml"], "none.toml"),
     ],
 )
-def test_bad_use_is_one_line(
-    folder: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], complaint: str
-) -> None:
-    assert run(["coverage", str(folder / "network"), *arguments]) == 2
-    said = capsys.readouterr().err
+def test_bad_use_is_one_line(folder: Path, cli: Cli, arguments: list[str], complaint: str) -> None:
+    said = cli.refused("coverage", folder / "network", *arguments)
     assert complaint in said
     assert said.count("\n") == 1
 
@@ -178,20 +166,14 @@ def test_bad_use_is_one_line(
         ("yaw = 0.0", "jaw = 0.0", "jaw"),
     ],
 )
-def test_a_wrong_place_is_named(
-    folder: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, complaint: str
-) -> None:
+def test_a_wrong_place_is_named(folder: Path, cli: Cli, old: str, new: str, complaint: str) -> None:
     places = folder / "places.toml"
     places.write_text(CANDIDATES.replace(old, new, 1))
-    assert run(["coverage", str(folder / "network"), "--add", str(places)]) == 2
-    said = capsys.readouterr().err
+    said = cli.refused("coverage", folder / "network", "--add", places)
     assert complaint in said
     assert said.count("\n") == 1
 
 
-def test_a_network_without_its_covariance_is_refused(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_network_without_its_covariance_is_refused(folder: Path, cli: Cli) -> None:
     (folder / "network" / "covariance.npz").unlink()
-    assert run(["coverage", str(folder / "network")]) == 2
-    assert "keep covariance.npz beside network.json" in capsys.readouterr().err
+    assert "keep covariance.npz beside network.json" in cli.refused("coverage", folder / "network")

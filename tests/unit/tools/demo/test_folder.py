@@ -7,7 +7,6 @@ import pytest
 from support.builders import largest_file
 
 from trigpoint.base.errors import InputError, OperationError
-from trigpoint.cli import run
 from trigpoint.site.config import load_site
 from trigpoint.site.target import load_target
 from trigpoint.tools.demo.folder import MARKER, DemoFolder, DemoRecord
@@ -104,10 +103,9 @@ def test_file_that_is_no_record_is_named(folder):
         folder.claim()
 
 
-def test_file_in_place_of_the_folder_is_refused(tmp_path, capsys):
+def test_file_in_place_of_the_folder_is_refused(tmp_path, cli):
     (tmp_path / "file").write_text("")
-    assert run(["demo", "--out", str(tmp_path / "file")]) == 2
-    assert "is a file" in capsys.readouterr().err
+    assert "is a file" in cli.refused("demo", "--out", tmp_path / "file")
 
 
 def test_full_disk_is_told_and_the_record_of_before_stays(folder):

@@ -7,10 +7,10 @@ from pathlib import Path
 import cv2
 import pytest
 from support.builders import TARGET_TEXT, make_site, site_text
+from support.commands import Cli
 from support.pictures.boards import checkerboard, picture_of, placed
 
 from trigpoint.base.checks import Check
-from trigpoint.cli import run
 from trigpoint.site.config import load_site
 from trigpoint.tools.doctor import command as doctor
 from trigpoint.tools.doctor import machine as machine_checks
@@ -124,15 +124,11 @@ def test_pyav_is_wanted_where_a_camera_is_a_stream(
     assert "trigpoint[streams]" in findings["extra streams"].remedy
 
 
-def test_command_exits_1_where_something_is_wrong(
-    quick: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_command_exits_1_where_something_is_wrong(quick: None, tmp_path: Path, cli: Cli) -> None:
     path = write_site(tmp_path, "")
-    assert run(["doctor", "--site", str(path)]) == 0
-    assert "ok       target of r1: «two-plane», 2 faces" in capsys.readouterr().out
+    assert "ok       target of r1: «two-plane», 2 faces" in cli("doctor", "--site", path).out
     (tmp_path / "target.toml").unlink()
-    assert run(["doctor", "--site", str(path), "--json"]) == 1
-    findings = json.loads(capsys.readouterr().out)
+    findings = json.loads(cli("doctor", "--site", path, "--json", status=1).out)
     assert [f["name"] for f in findings if f["level"] == "error"] == ["target of r1"]
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from support.builders import TARGET_TEXT, make_site, site_text
+from support.commands import Cli
 
 from trigpoint.base.checks import Check
 from trigpoint.cli import run
@@ -111,19 +112,15 @@ def test_fix_writes_its_file_and_says_what_fails(tmp_path: Path) -> None:
     assert (missing.level, "is not installed" in missing.message) == ("error", True)
 
 
-def test_fix_wants_root_and_a_site(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_fix_wants_root_and_a_site(monkeypatch: pytest.MonkeyPatch, cli: Cli) -> None:
     monkeypatch.setattr(os, "geteuid", lambda: 1000)
-    assert run(["doctor", "--fix"]) == 2
-    assert "run it with sudo" in capsys.readouterr().err
+    assert "run it with sudo" in cli.refused("doctor", "--fix")
     monkeypatch.setattr(os, "geteuid", lambda: 0)
-    assert run(["doctor", "--fix"]) == 2
-    assert "say which with --site" in capsys.readouterr().err
+    assert "say which with --site" in cli.refused("doctor", "--fix")
 
 
 def test_mended_things_are_findings(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Cli
 ) -> None:
     monkeypatch.setattr(doctor, "examine", lambda _site: [])
     monkeypatch.setattr(doctor, "fixed_user", lambda: "anna")
@@ -131,8 +128,7 @@ def test_mended_things_are_findings(
     path = tmp_path / "site.toml"
     path.write_text(site_text())
     (tmp_path / "target.toml").write_text(TARGET_TEXT)
-    assert run(["doctor", "--fix", "--json", "--site", str(path)]) == 0
-    [row] = json.loads(capsys.readouterr().out)
+    [row] = json.loads(cli("doctor", "--fix", "--json", "--site", path).out)
     assert (row["name"], row["level"], row["message"]) == ("clock", "ok", "mended: kept")
 
 

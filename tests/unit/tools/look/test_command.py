@@ -4,35 +4,26 @@ written."""
 import json
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
-from support.pictures.boards import CAMERA, CHARUCO_TARGET, charuco, picture_of, placed
+from support.commands import Cli, Said
+from support.pictures.boards import (
+    CAMERA,
+    CHARUCO_TARGET,
+    charuco,
+    held_pictures,
+    picture_of,
+    placed,
+    write_pictures,
+)
 
-from trigpoint.cli import run
 from trigpoint.site.camera_info import read_camera_info, write_camera_info
-
-PLACES = [
-    (-0.13, -0.1, 0.62, 30, 20),
-    (0.14, -0.09, 0.65, -35, 10),
-    (-0.12, 0.1, 0.6, 20, -35),
-    (0.12, 0.1, 0.64, -25, -25),
-    (0.0, 0.0, 0.5, 40, 0),
-    (0.02, 0.01, 0.5, 0, 42),
-    (-0.03, 0.0, 0.9, -40, 15),
-    (0.05, 0.05, 0.45, 10, -20),
-]
 
 
 @pytest.fixture(scope="module")
 def shots(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Pictures of a board, held in eight ways."""
-    made = tmp_path_factory.mktemp("shots")
-    for number, (x, y, distance, tilt, yaw) in enumerate(PLACES):
-        view = placed(charuco(), x=x, y=y, distance=distance, tilt_deg=tilt, yaw_deg=yaw)
-        picture = picture_of([view], noise=2.0, seed=number)
-        cv2.imwrite(str(made / f"{number}.png"), picture)
-    return made
+    return write_pictures(tmp_path_factory.mktemp("look") / "shots", held_pictures())
 
 
 @pytest.fixture(autouse=True)
@@ -43,31 +34,25 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def look(*words: object, rate: float = 200) -> int:
-    return run(["look", *map(str, words), "--no-page", "--rate", str(rate)])
+def look(cli: Cli, *words: object, rate: float = 200, status: int = 0) -> Said:
+    return cli("look", *words, "--no-page", "--rate", rate, status=status)
 
 
-def test_it_takes_the_lens_that_intrinsics_takes(
-    shots: Path, here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert look(shots) == 0
-    said = capsys.readouterr().out
+def test_it_takes_the_lens_that_intrinsics_takes(shots: Path, here: Path, cli: Cli) -> None:
+    said = look(cli, shots).out
     assert "picture 1: corners 12 on face 0 of target «box»; a square " in said
     assert "lens not known yet" in said
     assert "8 pictures, 8 with the target; 8 views kept" in said
     assert "wrote c1.yaml" in said
-    assert run(["intrinsics", str(shots), "--target", "target.toml", "--out", "other.yaml"]) == 0
+    cli("intrinsics", shots, "--target", "target.toml", "--out", "other.yaml")
     found, other = read_camera_info(here / "c1.yaml"), read_camera_info(here / "other.yaml")
     assert np.allclose(found.parameters, other.parameters, rtol=1e-3, atol=1e-3)
     assert found.fx == pytest.approx(CAMERA.fx, rel=0.02)
     assert (here / "c1.html").read_text().startswith("<!doctype html>")
 
 
-def test_the_result_is_one_object_and_lines_go_beside_it(
-    shots: Path, here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert look(shots, "--json", "--out", "door.yaml") == 0
-    captured = capsys.readouterr()
+def test_the_result_is_one_object_and_lines_go_beside_it(shots: Path, here: Path, cli: Cli) -> None:
+    captured = look(cli, shots, "--json", "--out", "door.yaml")
     record = json.loads(captured.out)
     assert "picture 1: corners 12" in captured.err
     assert (record["width"], record["height"], record["pictures"]) == (640, 480, 8)
@@ -79,87 +64,69 @@ def test_the_result_is_one_object_and_lines_go_beside_it(
     assert "camera_name: door" in (here / "door.yaml").read_text()
 
 
-def test_nothing_is_overwritten_unsaid(
-    shots: Path, here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_nothing_is_overwritten_unsaid(shots: Path, here: Path, cli: Cli) -> None:
     (here / "c1.yaml").write_text("mine")
-    assert look(shots, "--out", "c1.yaml") == 2
-    assert "c1.yaml is there already; give another --out, or --overwrite" in capsys.readouterr().err
-    assert look(shots) == 0
+    said = look(cli, shots, "--out", "c1.yaml", status=2).err
+    assert "c1.yaml is there already; give another --out, or --overwrite" in said
+    look(cli, shots)
     assert (here / "c1.yaml").read_text() == "mine"
     assert read_camera_info(here / "c2.yaml").width == 640
-    assert look(shots, "--out", "c1.yaml", "--overwrite") == 0
+    look(cli, shots, "--out", "c1.yaml", "--overwrite")
     assert read_camera_info(here / "c1.yaml").width == 640
 
 
 def test_a_lens_that_is_known_is_held_against_the_pictures_and_none_is_taken(
-    shots: Path, here: Path, capsys: pytest.CaptureFixture[str]
+    shots: Path, here: Path, cli: Cli
 ) -> None:
     write_camera_info(here / "true.yaml", CAMERA, "true")
-    assert look(shots, "--intrinsics", "true.yaml") == 0
-    said = capsys.readouterr().out
+    said = look(cli, shots, "--intrinsics", "true.yaml").out
     fits = said.split("lens known, given; it fits this picture to ")[1].split(" px")[0]
     assert float(fits) < 0.2
     assert sorted(path.name for path in here.glob("c*")) == []
 
 
-def test_a_lens_of_another_size_is_refused(
-    shots: Path, here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_lens_of_another_size_is_refused(shots: Path, here: Path, cli: Cli) -> None:
     write_camera_info(here / "large.yaml", CAMERA, "large")
     larger = (here / "large.yaml").read_text().replace("image_width: 640", "image_width: 1280")
     (here / "large.yaml").write_text(larger)
-    assert look(shots, "--intrinsics", "large.yaml") == 2
-    assert "are 640 × 480, but its intrinsics are for 1280 × 480" in capsys.readouterr().err
+    said = look(cli, shots, "--intrinsics", "large.yaml", status=2).err
+    assert "are 640 × 480, but its intrinsics are for 1280 × 480" in said
 
 
 def test_what_the_target_file_has_wrong_is_said_as_detect_says_it(
-    shots: Path, here: Path, capsys: pytest.CaptureFixture[str]
+    shots: Path, here: Path, cli: Cli
 ) -> None:
     wrong = CHARUCO_TARGET.replace("columns = 5", "columns = 4").replace("rows = 4", "rows = 5")
     (here / "target.toml").write_text(wrong)
-    assert run(["detect", str(shots), "--target", "target.toml"]) == 0
-    hint = capsys.readouterr().err.splitlines()[0].removeprefix("target.toml: ")
+    said = cli("detect", shots, "--target", "target.toml").err
+    hint = said.splitlines()[0].removeprefix("target.toml: ")
     assert "write columns = 5 and rows = 4" in hint
-    assert look(shots) == 1
-    captured = capsys.readouterr()
+    captured = look(cli, shots, status=1)
     assert hint in captured.out
     assert "no lens was taken, so nothing is written: face 0" in captured.err
 
 
-def test_what_the_views_leave_open_is_said_and_nothing_is_written(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (here / "flat").mkdir()
-    for number in range(5):
-        view = placed(charuco(), x=-0.1 + 0.05 * number, distance=0.7)
-        cv2.imwrite(str(here / f"flat/{number}.png"), picture_of([view], noise=2.0, seed=number))
-    assert look("flat") == 1
-    captured = capsys.readouterr()
+def test_what_the_views_leave_open_is_said_and_nothing_is_written(here: Path, cli: Cli) -> None:
+    views = [placed(charuco(), x=-0.1 + 0.05 * number, distance=0.7) for number in range(5)]
+    pictures = (picture_of([view], noise=2.0, seed=n) for n, view in enumerate(views))
+    write_pictures(here / "flat", pictures)
+    captured = look(cli, "flat", status=1)
     assert "focal length: the board was never tilted" in captured.err
     assert "tilt the board now: its " in captured.out
     assert not list(here.glob("*.yaml"))
 
 
-def test_an_endless_source_is_looked_at_for_so_long(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_endless_source_is_looked_at_for_so_long(here: Path, cli: Cli) -> None:
     """The world has ended and its robot stands: there is one view, however long it takes."""
     words = ["sim://c2?world=lab&seed=1&epoch_ns=0", "--target", "charuco", "--seconds", "3"]
-    assert look(*words, rate=10) == 1
-    captured = capsys.readouterr()
+    captured = look(cli, *words, rate=10, status=1)
     assert "lens known, by the source; it fits this picture to 0.0" in captured.out
     assert "no lens was taken" in captured.err
 
 
-def test_pictures_of_two_sizes_are_no_cameras(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (here / "mixed").mkdir()
-    for number, side in enumerate((64, 65)):
-        cv2.imwrite(str(here / f"mixed/{number}.png"), np.full((48, side), 99, np.uint8))
-    assert look("mixed") == 2
-    assert "picture 2 is 65 × 48, those before were 64 × 48" in capsys.readouterr().err
+def test_pictures_of_two_sizes_are_no_cameras(here: Path, cli: Cli) -> None:
+    write_pictures(here / "mixed", (np.full((48, side), 99, np.uint8) for side in (64, 65)))
+    assert "picture 2 is 65 × 48, those before were 64 × 48" in look(cli, "mixed", status=2).err
 
 
 @pytest.mark.parametrize(
@@ -182,10 +149,9 @@ def test_what_cannot_be_looked_at_is_said_in_one_line(
     words: list[str],
     status: int,
     said: str,
-    capsys: pytest.CaptureFixture[str],
+    cli: Cli,
 ) -> None:
     given = [str(shots) if word == "shots" else word for word in words]
-    assert look(*given) == status
-    error = capsys.readouterr().err
+    error = look(cli, *given, status=status).err
     assert said in error
     assert len(error.strip().splitlines()) == 1

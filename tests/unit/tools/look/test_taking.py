@@ -5,15 +5,15 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from support.builders import eventually
-from support.pictures.boards import NOWHERE, target_of
+from support.pictures.boards import target_of
 from support.pictures.lens_views import BOARD, PINHOLE, SIZE, board_views
 
 from trigpoint.contract.messages import FaceSighting
 from trigpoint.edge.lens.calibration_views import View
-from trigpoint.site.target import Face, Pattern
+from trigpoint.site.target import NOWHERE, Face, Pattern
 from trigpoint.tools.look.taking import FEWEST, LensTaking
 
-TARGET = target_of(Face(0, Pattern.CHECKERBOARD, 9, 7, 0.03, **NOWHERE))
+TARGET = target_of(Face(0, Pattern.CHECKERBOARD, 9, 7, 0.03, *NOWHERE))
 
 
 @pytest.fixture

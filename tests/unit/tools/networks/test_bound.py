@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.fusion.drives import EPOCH_NS, Session, lab_plan, make_session, offline, write_session
+from support.fusion.drives import EPOCH_NS, Session, make_session, offline, write_session
 
 from trigpoint.base.clock import to_ns
 from trigpoint.base.errors import InputError
@@ -13,24 +13,15 @@ from trigpoint.contract.messages import Odometry
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.geometry import Pose
 from trigpoint.recorder.session.recording import open_recording
-from trigpoint.tools.networks.bound import poses_at, session_bound
+from trigpoint.tools.networks.bound import session_bound
 from trigpoint.tools.networks.cramer_rao import Bound
 from trigpoint.tools.sessions.inputs import session_inputs
+from trigpoint.tools.simulation.motion.way import poses_at
 
 
 @pytest.fixture(scope="module")
-def session() -> Session:
-    return make_session(lab_plan(picture_rate=1.0))
-
-
-@pytest.fixture(scope="module")
-def folder(session: Session, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_session(session, tmp_path_factory.mktemp("session"))
-
-
-@pytest.fixture(scope="module")
-def bound(folder: Path) -> Bound:
-    return bound_of(folder)
+def bound(recorded: Path) -> Bound:
+    return bound_of(recorded)
 
 
 def bound_of(folder: Path) -> Bound:
@@ -39,8 +30,8 @@ def bound_of(folder: Path) -> Bound:
 
 
 @pytest.fixture(scope="module")
-def results(session: Session) -> Results:
-    return offline(session)
+def results(drive: Session) -> Results:
+    return offline(drive)
 
 
 def test_estimators_sigmas_are_just_above_the_bound(results: Results, bound: Bound) -> None:
@@ -54,9 +45,9 @@ def test_estimators_sigmas_are_just_above_the_bound(results: Results, bound: Bou
 
 
 def test_bound_of_the_distances_is_of_the_size_of_their_error(
-    session: Session, results: Results, bound: Bound
+    drive: Session, results: Results, bound: Bound
 ) -> None:
-    error = session.error(results).distance
+    error = drive.error(results).distance
     assert error is not None
     # Three distances: their mean error is within a factor of four of what is expected of it in all
     # but a few drives of a thousand.
@@ -73,25 +64,25 @@ def test_distance_error_of_known_sigmas() -> None:
     assert Bound(["a"], covariance[:6, :6], places[:1]).mean_distance_error == 0.0
 
 
-def test_more_pictures_lower_the_bound(session: Session, bound: Bound, tmp_path: Path) -> None:
-    more = make_session(replace(session.plan, picture_rate=2.0))
+def test_more_pictures_lower_the_bound(drive: Session, bound: Bound, tmp_path: Path) -> None:
+    more = make_session(replace(drive.plan, picture_rate=2.0))
     lower = bound_of(write_session(more, tmp_path / "more"))
     assert np.all(np.diagonal(lower.covariance) < np.diagonal(bound.covariance))
 
 
 def test_session_without_truth_or_without_sightings_is_one_clear_line(
-    session: Session, tmp_path: Path
+    drive: Session, tmp_path: Path
 ) -> None:
-    folder = write_session(session, tmp_path / "a")
+    folder = write_session(drive, tmp_path / "a")
     (folder / "r1_truth.tum").unlink()
     with pytest.raises(InputError, match=r"r1_truth\.tum: cannot be read"):
         bound_of(folder)
     (folder / "truth.json").unlink()
     with pytest.raises(InputError, match="there is no such truth file"):
         bound_of(folder)
-    odometry = tuple((n, m) for n, m in session.messages if isinstance(m, Odometry))
+    odometry = tuple((n, m) for n, m in drive.messages if isinstance(m, Odometry))
     with pytest.raises(InputError, match="no sighting whose truth is known"):
-        bound_of(write_session(replace(session, messages=odometry), tmp_path / "b"))
+        bound_of(write_session(replace(drive, messages=odometry), tmp_path / "b"))
 
 
 def test_poses_between_rows_are_the_same_share_of_the_step() -> None:

@@ -5,11 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.commands import Cli
+from support.fusion.networks import located
 
-from trigpoint.cli import run
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import exp
-from trigpoint.map.network import CameraRecord, Network, PoseRecord, Statistics, encode_network
+from trigpoint.map.network import Network, Statistics, encode_network
 from trigpoint.tools.networks.changes import changes
 
 SIGMA_M, SIGMA_RAD = 0.005, 0.002
@@ -30,11 +31,7 @@ def drawn(
         true = new_map @ Pose(exp(np.array([1.9, angle, 0.1])), place)
         error = random.normal(size=6) * np.sqrt(np.diagonal(covariance))
         pose = Pose(exp(error[3:]) @ true.rotation, true.translation + error[:3])
-        cameras[name] = CameraRecord(
-            "located",
-            map_from_camera=PoseRecord.of(pose),
-            covariance=tuple(covariance.reshape(-1).tolist()),
-        )
+        cameras[name] = located(pose, covariance)
     return Network("lab", "id", "smoother", cameras, {}, Statistics(None, 0))
 
 
@@ -60,25 +57,18 @@ def test_chi2_is_what_it_is_said_to_be() -> None:
     assert np.mean(values) == pytest.approx(6.0, rel=0.15)
 
 
-def test_the_command_compares_two_networks(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_compares_two_networks(tmp_path: Path, cli: Cli) -> None:
     random = np.random.default_rng(0)
     paths = [tmp_path / "old.json", tmp_path / "new.json"]
     for path, moved in zip(paths, ({}, {"c3": 0.2}), strict=True):
         path.write_bytes(encode_network(drawn(random, moved=moved, new_map=MAP)))
-    assert run(["distances", *map(str, paths), "--json"]) == 0
-    rows = json.loads(capsys.readouterr().out)["cameras"]
+    rows = json.loads(cli("distances", *paths, "--json").out)["cameras"]
     assert [row["camera"] for row in rows if row["has_moved"]] == ["c3"]
-    assert run(["distances", *map(str, paths)]) == 0
-    assert "moved" in capsys.readouterr().out
+    assert "moved" in cli("distances", *paths).out
 
 
-def test_two_cameras_do_not_tell_which_one_moved(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_two_cameras_do_not_tell_which_one_moved(tmp_path: Path, cli: Cli) -> None:
     path = tmp_path / "network.json"
     network = drawn(np.random.default_rng(0), moved={}, new_map=MAP, count=2)
     path.write_bytes(encode_network(network))
-    assert run(["distances", str(path), str(path)]) == 2
-    assert "at least 3" in capsys.readouterr().err
+    assert "at least 3" in cli.refused("distances", path, path)

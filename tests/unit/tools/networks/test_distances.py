@@ -5,11 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.commands import Cli
+from support.fusion.networks import located
 
-from trigpoint.cli import run
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
-from trigpoint.map.network import CameraRecord, Network, PoseRecord, Statistics, save_network
+from trigpoint.map.network import CameraRecord, Network, Statistics, save_network
 from trigpoint.tools.networks.distances import Measured, compare, distances
 
 PLACES = {
@@ -27,12 +28,10 @@ def joint() -> Array:
 
 
 def make_network(places: dict[str, list[float]] = PLACES) -> Network:
-    cameras = {}
-    for index, (name, place) in enumerate(places.items()):
-        block = joint()[6 * index : 6 * index + 6, 6 * index : 6 * index + 6]
-        pose = PoseRecord.of(Pose(np.eye(3), np.array(place)))
-        covariance = tuple(block.reshape(-1).tolist())
-        cameras[name] = CameraRecord("located", map_from_camera=pose, covariance=covariance)
+    cameras = {
+        name: located(Pose(np.eye(3), np.array(place)), joint(), index)
+        for index, (name, place) in enumerate(places.items())
+    }
     cameras["cellar"] = CameraRecord("undetermined", undetermined=("height",))
     return Network("lab", "uuid", "smoother", cameras, {}, Statistics(1.0, 3))
 
@@ -41,25 +40,6 @@ def make_network(places: dict[str, list[float]] = PLACES) -> Network:
 def network(tmp_path: Path) -> Path:
     save_network(tmp_path / "out", make_network(), covariance=joint(), trajectories={})
     return tmp_path / "out"
-
-
-def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    """The one line on standard error of a command that ends with status 2."""
-    assert run(["distances", *map(str, arguments)]) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert captured.err.count("\n") == 1
-    return captured.err
-
-
-def refused_file(
-    network: Path, tmp_path: Path, text: str, capsys: pytest.CaptureFixture[str]
-) -> str:
-    path = tmp_path / "tape.csv"
-    path.write_text(text)
-    line = refused(capsys, network, "--measured", path)
-    assert str(path) in line
-    return line
 
 
 def test_distance_and_its_sigma_are_those_of_the_joint_covariance() -> None:
@@ -91,24 +71,20 @@ def test_comparison_adds_the_tapes_own_uncertainty() -> None:
     assert found.chi2_per_distance == pytest.approx(weighed)
 
 
-def test_all_distances_are_shown_without_a_file(
-    network: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(["distances", str(network)]) == 0
-    lines = capsys.readouterr().out.splitlines()
+def test_all_distances_are_shown_without_a_file(network: Path, cli: Cli) -> None:
+    lines = cli("distances", network).out.splitlines()
     assert len(lines) == 1 + 6
     assert lines[2].split()[:3] == ["hall", "yard", "5.0000"]
 
 
 def test_table_shows_every_measured_distance_and_the_mean_error(
-    network: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    network: Path, tmp_path: Path, cli: Cli
 ) -> None:
     path = tmp_path / "tape.csv"
     path.write_text(
         "\ufeffcamera,camera,metres\n# with a steel tape\nhall, door,3.1\n\nyard,door,3.9,0.05\n"
     )
-    assert run(["distances", str(network / "network.json"), "--measured", str(path)]) == 0
-    lines = capsys.readouterr().out.splitlines()
+    lines = cli("distances", network / "network.json", "--measured", path).out.splitlines()
     assert [line.split()[:5] for line in lines[1:3]] == [
         ["hall", "door", "3.1000", "3.0000", "-10.00"],
         ["yard", "door", "3.9000", "4.0000", "+10.00"],
@@ -116,13 +92,10 @@ def test_table_shows_every_measured_distance_and_the_mean_error(
     assert lines[3].startswith("mean error of 2 distances: 10.00 cm")
 
 
-def test_json_holds_the_same_in_metres(
-    network: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_json_holds_the_same_in_metres(network: Path, tmp_path: Path, cli: Cli) -> None:
     path = tmp_path / "tape.csv"
     path.write_text("hall,door,3.1,0.02\n")
-    assert run(["distances", str(network), "--measured", str(path), "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
+    found = json.loads(cli("distances", network, "--measured", path, "--json").out)
     row = found["distances"][0]
     assert (row["from"], row["to"], row["measured_sigma"]) == ("hall", "door", 0.02)
     assert row["difference"] == pytest.approx(-0.1)
@@ -130,14 +103,11 @@ def test_json_holds_the_same_in_metres(
     assert found["mean_error"] == pytest.approx(0.1)
 
 
-def test_tapes_sigma_can_be_given_for_all_rows(
-    network: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_tapes_sigma_can_be_given_for_all_rows(network: Path, tmp_path: Path, cli: Cli) -> None:
     path = tmp_path / "tape.csv"
     path.write_text("hall,door,3.1\nhall,yard,5,0.3\n")
     arguments = ["--measured", str(path), "--tape-sigma", "0.04", "--json"]
-    assert run(["distances", str(network), *arguments]) == 0
-    rows = json.loads(capsys.readouterr().out)["distances"]
+    rows = json.loads(cli("distances", network, *arguments).out)["distances"]
     assert [row["measured_sigma"] for row in rows] == [0.04, 0.3]
 
 
@@ -159,45 +129,40 @@ def test_tapes_sigma_can_be_given_for_all_rows(
     ],
 )
 def test_wrong_row_is_named_with_file_and_line(
-    network: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, said: str
+    network: Path, tmp_path: Path, cli: Cli, text: str, said: str
 ) -> None:
-    assert said in refused_file(network, tmp_path, text, capsys)
+    path = tmp_path / "tape.csv"
+    path.write_text(text)
+    line = cli.refused("distances", network, "--measured", path)
+    assert f"{path}{said}" in line
 
 
-def test_missing_files_are_named(
-    network: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert "no such file of distances" in refused(capsys, network, "--measured", tmp_path / "no")
-    assert "no such network file" in refused(capsys, tmp_path / "no.json")
+def test_missing_files_are_named(network: Path, tmp_path: Path, cli: Cli) -> None:
+    assert "no such file of distances" in cli.refused(
+        "distances", network, "--measured", tmp_path / "no"
+    )
+    assert "no such network file" in cli.refused("distances", tmp_path / "no.json")
     (network / "covariance.npz").unlink()
-    assert "keep covariance.npz beside network.json" in refused(capsys, network)
+    assert "keep covariance.npz beside network.json" in cli.refused("distances", network)
 
 
-def test_file_that_is_not_text_is_refused(
-    network: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_file_that_is_not_text_is_refused(network: Path, tmp_path: Path, cli: Cli) -> None:
     path = tmp_path / "tape.ods"
     path.write_bytes(b"PK\x03\x04\xff\xfe\x00")
-    assert "this is not text" in refused(capsys, network, "--measured", path)
+    assert "this is not text" in cli.refused("distances", network, "--measured", path)
 
 
-def test_covariance_of_another_network_is_refused(
-    network: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_covariance_of_another_network_is_refused(network: Path, cli: Cli) -> None:
     np.savez(network / "covariance.npz", cameras=np.array(["hall"]), covariance=np.eye(6))
-    assert "belongs to another network" in refused(capsys, network)
+    assert "belongs to another network" in cli.refused("distances", network)
 
 
 @pytest.mark.parametrize("sigma", ["0", "-1", "5", "nan"])
-def test_impossible_sigma_of_the_tape_is_refused(
-    network: Path, sigma: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert "--tape-sigma" in refused(capsys, network, "--tape-sigma", sigma)
+def test_impossible_sigma_of_the_tape_is_refused(network: Path, sigma: str, cli: Cli) -> None:
+    assert "--tape-sigma" in cli.refused("distances", network, "--tape-sigma", sigma)
 
 
-def test_network_of_one_camera_has_no_distance(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_network_of_one_camera_has_no_distance(tmp_path: Path, cli: Cli) -> None:
     alone = make_network({"hall": PLACES["hall"]})
     save_network(tmp_path, alone, covariance=joint()[:6, :6], trajectories={})
-    assert "fewer than two cameras" in refused(capsys, tmp_path)
+    assert "fewer than two cameras" in cli.refused("distances", tmp_path)

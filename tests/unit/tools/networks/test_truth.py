@@ -6,6 +6,7 @@ from uuid import uuid4
 
 import numpy as np
 import pytest
+from support.fusion.networks import located
 
 from trigpoint.base.errors import InputError
 from trigpoint.geometry import Pose
@@ -29,10 +30,7 @@ def network_of(errors: dict[str, list[float] | None]) -> tuple[Network, np.ndarr
             cameras[name] = CameraRecord("undetermined", ("everything",))
             continue
         pose = TRUE.get(name, Pose.identity()).disturbed(error)
-        covariance = tuple((SIGMA**2 * np.eye(6)).reshape(-1).tolist())
-        cameras[name] = CameraRecord(
-            "located", map_from_camera=PoseRecord.of(pose), covariance=covariance
-        )
+        cameras[name] = located(pose, SIGMA**2 * np.eye(6))
     count = sum(error is not None for error in errors.values())
     network = Network("lab", str(uuid4()), "smoother", cameras, {}, Statistics(1.0, 3))
     return network, SIGMA**2 * np.eye(6 * count)

@@ -9,6 +9,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from support.commands import Cli
 from support.site.secured import SecuredSite
 
 from trigpoint import __version__
@@ -88,14 +89,6 @@ def packed(*words: str) -> Path:
     with tarfile.open(archive) as tar:
         tar.extractall("there", filter="tar")
     return Path("there") / f"lab-{kind}-{name}"
-
-
-def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
-    assert run(["pack", *words]) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert captured.err.count("\n") == 1
-    return captured.err
 
 
 def names(place: Path) -> set[str]:
@@ -228,24 +221,22 @@ def test_archive_of_another_machine_is_not_installed(folder: Path, tmp_path: Pat
     ],
 )
 def test_what_cannot_be_packed_is_one_clear_line(
-    folder: Path, capsys: pytest.CaptureFixture[str], words: list[str], message: str
+    folder: Path, cli: Cli, words: list[str], message: str
 ) -> None:
-    assert message in refused(capsys, *words)
+    assert message in cli.refused("pack", *words)
     assert not Path("packs").exists()
 
 
-def test_missing_key_says_how_it_is_made(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_missing_key_says_how_it_is_made(folder: Path, cli: Cli) -> None:
     Path("secure/camera-c1.key").unlink()
-    said = refused(capsys, "camera", "c1", "--connect", SERVER)
+    said = cli.refused("pack", "camera", "c1", "--connect", SERVER)
     assert "trigpoint secure node camera c1" in said
 
 
-def test_file_beyond_the_sites_folder_is_refused(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_file_beyond_the_sites_folder_is_refused(folder: Path, cli: Cli) -> None:
     shutil.copy("targets/star.toml", folder.parent / "star.toml")
     Path("site.toml").write_text(FILE.replace("targets/star.toml", "../star.toml"))
-    said = refused(capsys, "camera", "c1", "--connect", SERVER)
+    said = cli.refused("pack", "camera", "c1", "--connect", SERVER)
     assert "../star.toml lies outside of the site file's folder" in said
 
 

@@ -25,11 +25,6 @@ class Stopped(io.StringIO):
         return super().write(text)
 
 
-class Gone(io.StringIO):
-    def write(self, text: str) -> int:
-        raise BrokenPipeError
-
-
 def run_to_its_end(log: JoinedLog, *codes: tuple[str, str]) -> Supervisor:
     specs = [PartSpec(name, (sys.executable, "-c", code)) for name, code in codes]
     with Supervisor(specs, log.output, say=lambda line: log.say("up", line)) as supervisor:
@@ -78,9 +73,3 @@ def test_closing_a_log_that_nobody_takes_has_a_time_limit() -> None:
         log.say("a", "never seen")
     assert time.monotonic() - began_s < 5
     stream.go.set()
-
-
-def test_reader_that_has_gone_is_noticed() -> None:
-    with JoinedLog(Gone(), width=1) as log:
-        log.say("a", "word")
-        assert eventually(lambda: log.is_broken)

@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from support.commands import Cli, Said
 from support.pictures.boards import (
     CAMERA,
     CHARUCO_TARGET,
@@ -17,8 +18,6 @@ from support.pictures.boards import (
     plain_picture,
     worst_error,
 )
-
-from trigpoint.cli import run
 
 BOARD = charuco()
 VIEW = placed(BOARD, distance=0.8, tilt_deg=15)
@@ -34,16 +33,14 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def detect(folder: Path, *words: str) -> int:
-    return run(["detect", *words, "--target", str(folder / "target.toml")])
+def detect(cli: Cli, folder: Path, *words: object, status: int = 0) -> Said:
+    return cli("detect", *words, "--target", folder / "target.toml", status=status)
 
 
-def test_json_is_one_object_a_line_in_the_order_given(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_json_is_one_object_a_line_in_the_order_given(folder: Path, cli: Cli) -> None:
     shots = folder / "shots"
-    assert detect(folder, str(shots / "b.png"), str(shots), "--json") == 0
-    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    said = detect(cli, folder, shots / "b.png", shots, "--json").out
+    lines = [json.loads(line) for line in said.splitlines()]
     assert [Path(line["picture"]).name for line in lines] == ["b.png", "a.png", "b.png"]
     found = lines[1]
     assert set(found) == {"picture", "width", "height", "milliseconds", "faces"}
@@ -55,33 +52,29 @@ def test_json_is_one_object_a_line_in_the_order_given(
     assert worst_error(np.array(face["pixels"]), np.array(face["corners"]), VIEW) < 0.3
 
 
-def test_text_says_what_was_found(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert detect(folder, str(folder / "shots")) == 0
-    first, second = capsys.readouterr().out.splitlines()
+def test_text_says_what_was_found(folder: Path, cli: Cli) -> None:
+    first, second = detect(cli, folder, folder / "shots").out.splitlines()
     assert "a.png (640 × 480" in first
     assert "face 0: 12 corners" in first
     assert second.endswith("nothing found")
 
 
-def test_video_is_taken_picture_by_picture(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_video_is_taken_picture_by_picture(folder: Path, cli: Cli) -> None:
     clip = folder / "clip.avi"
     size = (CAMERA.width, CAMERA.height)
     writer = cv2.VideoWriter(str(clip), cv2.VideoWriter.fourcc(*"MJPG"), 5.0, size)
     for picture in (plain_picture(), picture_of([VIEW])):
         writer.write(cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR))
     writer.release()
-    assert detect(folder, str(clip), "--json") == 0
-    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    said = detect(cli, folder, clip, "--json").out
+    lines = [json.loads(line) for line in said.splitlines()]
     assert [line["picture"] for line in lines] == [f"{clip}#0", f"{clip}#1"]
     assert [len(line["faces"]) for line in lines] == [0, 1]
 
 
-def test_drawings_are_written_without_overwriting_each_other(folder: Path) -> None:
+def test_drawings_are_written_without_overwriting_each_other(folder: Path, cli: Cli) -> None:
     shutil.copytree(folder / "shots", folder / "again")
-    words = [str(folder / "shots"), str(folder / "again"), "--draw", str(folder / "drawn")]
-    assert detect(folder, *words) == 0
+    detect(cli, folder, folder / "shots", folder / "again", "--draw", folder / "drawn")
     names = sorted(file.name for file in (folder / "drawn").iterdir())
     assert names == ["a.png", "a_2.png", "b.png", "b_2.png"]
     drawn = cv2.imread(str(folder / "drawn" / "a.png"))
@@ -101,7 +94,7 @@ def test_drawings_are_written_without_overwriting_each_other(folder: Path) -> No
 )
 def test_bad_picture_alone_is_one_line(
     folder: Path,
-    capsys: pytest.CaptureFixture[str],
+    cli: Cli,
     name: str,
     data: bytes | None,
     status: int,
@@ -109,14 +102,13 @@ def test_bad_picture_alone_is_one_line(
 ) -> None:
     if data is not None:
         (folder / name).write_bytes(data)
-    assert detect(folder, str(folder / name)) == status
-    error = capsys.readouterr().err
+    error = detect(cli, folder, folder / name, status=status).err
     assert said in error
     assert error.count("\n") == 1
 
 
 def test_bad_pictures_among_good_ones_are_left_out_counted_and_named(
-    folder: Path, capsys: pytest.CaptureFixture[str]
+    folder: Path, cli: Cli
 ) -> None:
     shots = folder / "shots"
     (shots / "c.png").touch()
@@ -124,8 +116,7 @@ def test_bad_pictures_among_good_ones_are_left_out_counted_and_named(
     (shots / "e.HEIC").write_bytes(b"\0\0\0\x18ftypheic" + bytes(99))
     (shots / "f.png").write_bytes((shots / "a.png").read_bytes()[:-200])
     (shots / "notes.txt").write_text("no picture, and not called one")
-    assert detect(folder, str(shots), "--json") == 0
-    said = capsys.readouterr()
+    said = detect(cli, folder, shots, "--json")
     assert [len(json.loads(line)["faces"]) for line in said.out.splitlines()] == [1, 0]
     left_out = said.err.splitlines()[0]
     assert left_out.startswith("4 pictures left out: ")
@@ -134,41 +125,31 @@ def test_bad_pictures_among_good_ones_are_left_out_counted_and_named(
     assert "notes" not in said.err
 
 
-def test_picture_of_twelve_bits_is_scaled_and_said(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_picture_of_twelve_bits_is_scaled_and_said(folder: Path, cli: Cli) -> None:
     deep = picture_of([VIEW]).astype(np.uint16) * 16
     cv2.imwrite(str(folder / "deep.png"), deep)
-    assert detect(folder, str(folder / "deep.png")) == 0
-    said = capsys.readouterr()
+    said = detect(cli, folder, folder / "deep.png")
     assert "face 0: 12 corners" in said.out
     assert "deep.png" in said.err
     assert "12 of 16 bits" in said.err
 
 
-def test_pictures_of_two_sizes_are_no_sequence(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_pictures_of_two_sizes_are_no_sequence(folder: Path, cli: Cli) -> None:
     shots = folder / "shots"
-    assert detect(folder, str(shots), "--sequence") == 0
+    detect(cli, folder, shots, "--sequence")
     cv2.imwrite(str(shots / "c.png"), np.zeros((100, 100), np.uint8))
-    assert detect(folder, str(shots), "--sequence") == 2
-    assert "c.png: not of the size of" in capsys.readouterr().err
+    assert "c.png: not of the size of" in detect(cli, folder, shots, "--sequence", status=2).err
 
 
-def test_bad_target_is_one_line_and_status_2(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bad_target_is_one_line_and_status_2(folder: Path, cli: Cli) -> None:
     (folder / "target.toml").write_text(CHARUCO_TARGET.replace("DICT_4X4_250", "DICT_3X3"))
-    assert detect(folder, str(folder / "shots")) == 2
-    assert "DICT_3X3" in capsys.readouterr().err
+    assert "DICT_3X3" in detect(cli, folder, folder / "shots", status=2).err
     (folder / "target.toml").unlink()
-    assert detect(folder, str(folder / "shots")) == 2
-    assert "there is no such target file" in capsys.readouterr().err
+    assert "there is no such target file" in detect(cli, folder, folder / "shots", status=2).err
 
 
 def test_board_that_the_file_describes_the_wrong_way_round_is_named_once(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, cli: Cli
 ) -> None:
     picture = picture_of([placed(checkerboard(8, 6), yaw_deg=20)])
     for name in ("a.png", "b.png"):
@@ -178,9 +159,10 @@ def test_board_that_the_file_describes_the_wrong_way_round_is_named_once(
     target = tmp_path / "target.toml"
     target.write_text(f'name = "t"\n[[faces]]\nid = 0\n{face}{here}')
     words = [str(tmp_path / name) for name in ("a.png", "b.png")]
-    assert run(["detect", *words, "--target", str(target), "--json"]) == 0
-    said = capsys.readouterr()
+    said = cli("detect", *words, "--target", target, "--json")
     assert [json.loads(line)["faces"] for line in said.out.splitlines()] == [[], []]
     assert said.err.count("write columns = 8 and rows = 6") == 1
-    assert run(["intrinsics", *words, "--target", str(target)]) == 1
-    assert "write columns = 8 and rows = 6" in capsys.readouterr().err
+    assert (
+        "write columns = 8 and rows = 6"
+        in cli("intrinsics", *words, "--target", target, status=1).err
+    )

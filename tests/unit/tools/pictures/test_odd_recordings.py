@@ -17,6 +17,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as BagWriter
 from ruamel.yaml import YAML
 from support.builders import make_odometry, site_text
+from support.commands import Cli
 from support.pictures.boards import CHARUCO_TARGET, charuco, picture_of, placed
 
 from trigpoint.cli import run
@@ -39,13 +40,6 @@ BAD = {
     "half a picture": cdr.encode(Picture(0, "", "png", PNG[: len(PNG) // 2])),
     "another picture's end": cdr.encode(Picture(0, "", "png", PNG[len(PNG) // 2 :])),
 }
-
-
-@pytest.fixture
-def target(tmp_path: Path) -> Path:
-    path = tmp_path / "target.toml"
-    path.write_text(CHARUCO_TARGET)
-    return path
 
 
 def write(
@@ -79,11 +73,10 @@ def listed(folder: Path, files: list[str]) -> Path:
 
 @pytest.mark.parametrize("bad", BAD)
 def test_one_bad_picture_is_left_out_and_named_by_its_time(
-    tmp_path: Path, target: Path, bad: str, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, target: Path, bad: str, cli: Cli
 ) -> None:
     bag = write(tmp_path / "bag.mcap", [SOUND, BAD[bad], SOUND])
-    assert run(["detect", str(bag), "--target", str(target)]) == 0
-    told = capsys.readouterr()
+    told = cli("detect", bag, "--target", target)
     assert told.out.count("face 0") == 2
     assert f"1 picture left out: {bag}: a picture of {TOPIC}, at 1001.000 s" in told.err
 
@@ -95,16 +88,13 @@ def test_nothing_but_bad_pictures_is_status_1(tmp_path: Path, target: Path, bad:
 
 
 @pytest.mark.parametrize("bad", BAD)
-def test_check_names_what_recover_leaves_out(
-    tmp_path: Path, bad: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_check_names_what_recover_leaves_out(tmp_path: Path, bad: str, cli: Cli) -> None:
     bag = write(tmp_path / "bag.mcap", [SOUND, BAD[bad], SOUND])
-    assert run(["check", str(bag)]) == 1
-    said = capsys.readouterr().out
+    said = cli("check", bag, status=1).out
     assert re.search(rf"a message of {TOPIC} (cannot|holds).*, at 1001\.000 s", said)
     whole = tmp_path / "whole" / "whole.mcap"
-    assert run(["recover", str(bag), "--out", str(whole)]) == 0
-    assert run(["check", str(whole)]) == 0
+    cli("recover", bag, "--out", whole)
+    cli("check", whole)
     assert open_recording(whole).counts == {TOPIC[1:]: 2}
     metadata = YAML(typ="safe").load((whole.parent / "metadata.yaml").read_text())
     (topic,) = metadata["rosbag2_bagfile_information"]["topics_with_message_count"]
@@ -144,11 +134,8 @@ def test_check_names_raw_pictures_that_hold_too_little(
     assert (not cdr.fault_in(RAW_IMAGE, payload)) == is_sound
 
 
-def test_a_warning_is_said_once_with_how_often(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(["check", str(write(tmp_path / "bag.mcap", [b""] * 7))]) == 1
-    out = capsys.readouterr().out
+def test_a_warning_is_said_once_with_how_often(tmp_path: Path, cli: Cli) -> None:
+    out = cli("check", write(tmp_path / "bag.mcap", [b""] * 7), status=1).out
     assert out.count("\n") == 1
     assert "and 6 more like it" in out
 
@@ -187,7 +174,7 @@ def test_whatever_a_writer_leaves_out_all_messages_are_read(
 
 
 def test_a_topics_type_is_what_most_of_its_messages_are(
-    tmp_path: Path, target: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, target: Path, cli: Cli
 ) -> None:
     bag, stray = tmp_path / "bag.mcap", cdr.encode(make_odometry(10**9))
     writer = Writer(str(bag))
@@ -198,26 +185,22 @@ def test_a_topics_type_is_what_most_of_its_messages_are(
         writer.add_message(channel, number, SOUND if kind == PICTURE else stray, number)
     writer.finish()
     for file in (bag, tmp_path / "whole.mcap"):
-        assert run(["detect", str(file), "--target", str(target)]) == 0
-        told = capsys.readouterr()
+        told = cli("detect", file, "--target", target)
         assert told.out.count("face 0") == 2
         assert f"is a {ODOMETRY}, not a {PICTURE}" in told.err
-        assert run(["check", str(file)]) == 0
-        assert f"2 of {PICTURE}, 1 of {ODOMETRY}" in capsys.readouterr().out
+        assert f"2 of {PICTURE}, 1 of {ODOMETRY}" in cli("check", file).out
         if file == bag:
-            assert run(["recover", str(bag), "--out", str(tmp_path / "whole.mcap")]) == 0
+            cli("recover", bag, "--out", tmp_path / "whole.mcap")
 
 
 def test_a_foreign_topic_may_be_named_like_a_sessions(
-    tmp_path: Path, target: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, target: Path, cli: Cli
 ) -> None:
     bag = write(tmp_path / "bag.mcap", [SOUND], topic="/lab/robot/r1/odom")
-    assert run(["detect", str(bag), "--target", str(target)]) == 0
+    cli("detect", bag, "--target", target)
     for command in ("info", "check", "recover"):
-        assert run([command, str(bag)]) == 0
-    capsys.readouterr()
-    assert run(["calibrate", str(bag)]) == 2
-    assert "by --topic" in capsys.readouterr().err
+        cli(command, bag)
+    assert "by --topic" in cli.refused("calibrate", bag)
 
 
 def test_nothing_is_written_where_nothing_can_be_saved(tmp_path: Path) -> None:
@@ -246,20 +229,17 @@ def parts(folder: Path, *, packed: bool) -> Path:
 
 @pytest.mark.parametrize("packed", [False, True])
 def test_a_bag_of_parts_is_one_session_for_every_command(
-    tmp_path: Path, target: Path, packed: bool, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, target: Path, packed: bool, cli: Cli
 ) -> None:
     bag = parts(tmp_path / "bag", packed=packed)
     assert [part.path.name[:1] for part in open_recording(bag).parts] == ["z", "a"]
-    assert run(["info", str(bag), "--json"]) == 0
-    info = json.loads(capsys.readouterr().out)
+    info = json.loads(cli("info", bag, "--json").out)
     assert info["keys"][TOPIC[1:]]["messages"] == 3
     assert all(Path(file).parent == bag for file in info["files"])
-    assert run(["check", str(bag)]) == 0
-    assert run(["recover", str(bag)]) == 0
+    cli("check", bag)
+    cli("recover", bag)
     assert open_recording(bag / "recovered").counts == {TOPIC[1:]: 3}
-    capsys.readouterr()
-    assert run(["detect", str(bag), "--target", str(target)]) == 0
-    assert capsys.readouterr().out.count("face 0") == 3
+    assert cli("detect", bag, "--target", target).out.count("face 0") == 3
 
 
 @pytest.mark.parametrize(
@@ -279,7 +259,7 @@ def test_a_bag_in_sqlite_or_of_packed_messages_is_a_session_for_every_command(
     plugin: StoragePlugin,
     packing: CompressionMode | None,
     is_file: bool,
-    capsys: pytest.CaptureFixture[str],
+    cli: Cli,
 ) -> None:
     writer = BagWriter(tmp_path / "bag", version=9, storage_plugin=plugin)
     if packing is not None:
@@ -289,17 +269,13 @@ def test_a_bag_in_sqlite_or_of_packed_messages_is_a_session_for_every_command(
         for number, payload in enumerate((SOUND, b"", SOUND)):
             writer.write(connection, number + 1, payload)
     bag = next(writer.path.glob("*.db3*")) if is_file else writer.path
-    assert run(["info", str(bag), "--json"]) == 0
-    info = json.loads(capsys.readouterr().out)
+    info = json.loads(cli("info", bag, "--json").out)
     assert info["keys"][TOPIC[1:]]["messages"] == 3
     assert info["files"] == [str(bag)]
-    assert run(["check", str(bag)]) == 1
-    assert f"{bag}: warning: a message of {TOPIC}" in capsys.readouterr().out
-    assert run(["recover", str(bag)]) == 0
+    assert f"{bag}: warning: a message of {TOPIC}" in cli("check", bag, status=1).out
+    cli("recover", bag)
     assert open_recording(writer.path / "recovered").counts == {TOPIC[1:]: 2}
-    capsys.readouterr()
-    assert run(["detect", str(bag), "--target", str(target)]) == 0
-    assert capsys.readouterr().out.count("face 0") == 2
+    assert cli("detect", bag, "--target", target).out.count("face 0") == 2
 
 
 @pytest.mark.parametrize(
@@ -314,23 +290,21 @@ def test_a_bag_of_no_session_is_named_as_one_with_what_takes_it(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     words: list[str],
-    capsys: pytest.CaptureFixture[str],
+    cli: Cli,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "site.toml").write_text(site_text(cameras=1))
     (tmp_path / "target.toml").write_text(CHARUCO_TARGET)
     command, *more = words
     bag = str(write(tmp_path / "bag.mcap", [SOUND]))
-    assert run([command, bag, "--site", "site.toml", *more]) == 2
-    assert f"none of its topics ({TOPIC}) is one of a session" in capsys.readouterr().err
+    assert f"none of its topics ({TOPIC}) is one of a session" in cli.refused(
+        command, bag, "--site", "site.toml", *more
+    )
 
 
-def test_a_bag_of_ros_1_is_named_with_what_reads_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_bag_of_ros_1_is_named_with_what_reads_it(tmp_path: Path, cli: Cli) -> None:
     (tmp_path / "old.bag").write_bytes(b"#ROSBAG V2.0")
-    assert run(["info", str(tmp_path / "old.bag")]) == 2
-    assert "ROS 1 bag, which only detect" in capsys.readouterr().err
+    assert "ROS 1 bag, which only detect" in cli.refused("info", tmp_path / "old.bag")
 
 
 def test_a_part_that_was_unpacked_by_hand_is_found(tmp_path: Path) -> None:
@@ -340,53 +314,43 @@ def test_a_part_that_was_unpacked_by_hand_is_found(tmp_path: Path) -> None:
     assert open_recording(bag).counts == {TOPIC[1:]: 3}
 
 
-def test_a_file_of_packed_messages_is_refused_with_what_to_give(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_of_packed_messages_is_refused_with_what_to_give(tmp_path: Path, cli: Cli) -> None:
     bag = parts(tmp_path / "bag", packed=False)
     file = bag / "metadata.yaml"
     file.write_text(
         file.read_text().replace('"compression_mode": ""', '"compression_mode": "MESSAGE"')
     )
     for command in ("info", "check", "recover"):
-        assert run([command, str(bag / "z.mcap")]) == 2
-        assert "give its folder" in capsys.readouterr().err
+        assert "give its folder" in cli.refused(command, bag / "z.mcap")
 
 
 def test_a_topic_without_pictures_is_said_and_the_status_is_1(
-    tmp_path: Path, target: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, target: Path, cli: Cli
 ) -> None:
     bag = write(tmp_path / "bag.mcap", [])
     for command in ("detect", "intrinsics"):
-        assert run([command, str(bag), "--target", str(target)]) == 1
-        assert "no picture is in what was given" in capsys.readouterr().err
+        assert (
+            "no picture is in what was given" in cli(command, bag, "--target", target, status=1).err
+        )
 
 
-def test_a_part_that_is_not_there_is_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_part_that_is_not_there_is_named(tmp_path: Path, cli: Cli) -> None:
     bag = parts(tmp_path / "bag", packed=False)
     (bag / "a.mcap").unlink()
-    assert run(["info", str(bag)]) == 2
-    assert "a.mcap: is listed in metadata.yaml, but not there" in capsys.readouterr().err
+    assert "a.mcap: is listed in metadata.yaml, but not there" in cli.refused("info", bag)
 
 
 @pytest.mark.parametrize(("encoding", "words"), [("ros1", "ROS 1"), ("json", "JSON")])
 def test_what_is_no_cdr_is_named_as_what_it_is(
-    tmp_path: Path, target: Path, encoding: str, words: str, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, target: Path, encoding: str, words: str, cli: Cli
 ) -> None:
     bag = write(tmp_path / "bag.mcap", [b"{}"], encoding=encoding)
-    assert run(["detect", str(bag), "--target", str(target), "--topic", TOPIC]) == 2
-    error = capsys.readouterr().err
+    error = cli.refused("detect", bag, "--target", target, "--topic", TOPIC)
     assert f"{TOPIC} is a {words} message ({PICTURE}) in MCAP" in error
     assert error.count("\n") == 1
-    assert run(["info", str(bag)]) == 0
-    assert f"{words} message ({PICTURE}) in MCAP" in capsys.readouterr().out
+    assert f"{words} message ({PICTURE}) in MCAP" in cli("info", bag).out
 
 
-def test_messages_that_nobody_counts_have_no_breaks(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_messages_that_nobody_counts_have_no_breaks(tmp_path: Path, cli: Cli) -> None:
     file = write(tmp_path / "bag.mcap", [SOUND] * 3)
-    assert run(["info", str(file), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["keys"][TOPIC[1:]]["sequence_breaks"] == 0
+    assert json.loads(cli("info", file, "--json").out)["keys"][TOPIC[1:]]["sequence_breaks"] == 0

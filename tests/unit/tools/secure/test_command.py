@@ -2,6 +2,7 @@
 
 import json
 import stat
+from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -10,9 +11,9 @@ import zenoh
 from cryptography import x509
 from cryptography.x509.oid import ExtendedKeyUsageOID
 from support.builders import site_text
+from support.commands import Cli
 
 from trigpoint.base.errors import ConfigError
-from trigpoint.cli import run
 from trigpoint.contract.access import Kind
 from trigpoint.security.credentials import (
     first_complaint,
@@ -28,16 +29,25 @@ from trigpoint.site.config import load_site
 BUS = 'listen = ["tls/127.0.0.1:7447"]\n[bus.tls]'
 
 
+Secure = Callable[..., str]
+
+
 @pytest.fixture
 def site(tmp_path: Path) -> Path:
     path = tmp_path / "site.toml"
     path.write_text(site_text(bus=BUS, cameras=2))
-    assert secure(path, "init") == 0
     return path
 
 
-def secure(site: Path, *words: str) -> int:
-    return run(["secure", *words, "--site", str(site)])
+@pytest.fixture
+def secure(site: Path, cli: Cli) -> Secure:
+    """Runs a command on the site, which has an authority, and gives what it says."""
+
+    def run(*words: object, at: Path = site, status: int = 0) -> str:
+        return cli("secure", *words, "--site", at, status=status).out
+
+    run("init")
+    return run
 
 
 def mode(path: Path) -> int:
@@ -48,17 +58,17 @@ def names(site: Path) -> list[str]:
     return sorted(one.common_name for one in trusted(site.parent / "secure" / "trust.pem"))
 
 
-def test_keys_are_their_owners_alone(site: Path) -> None:
-    assert secure(site, "node", "camera", "c1") == 0
+def test_keys_are_their_owners_alone(site: Path, secure: Secure) -> None:
+    secure("node", "camera", "c1")
     folder = site.parent
     for key in (*folder.rglob("*.key"),):
         assert mode(key) == 0o600, key
     assert {mode(folder / "authority" / name) for name in ("anchors", "revoked")} == {0o700}
 
 
-def test_node_is_named_in_its_certificate_and_admitted(site: Path) -> None:
+def test_node_is_named_in_its_certificate_and_admitted(site: Path, secure: Secure) -> None:
     for words in (("camera", "c1"), ("fusion", "fusion"), ("operator", "anna")):
-        assert secure(site, "node", *words) == 0
+        secure("node", *words)
     assert names(site) == ["lab/camera/c1", "lab/fusion/fusion", "lab/operator/anna"]
     loaded = load_site(site)
     assert node_credentials(loaded, Kind.CAMERA, "c1").identity.common_name == "lab/camera/c1"
@@ -66,9 +76,9 @@ def test_node_is_named_in_its_certificate_and_admitted(site: Path) -> None:
     assert (site.parent / "secure" / "corrections.pem").exists()
 
 
-def test_only_a_routers_certificate_serves(site: Path) -> None:
-    secure(site, "node", "camera", "c1")
-    secure(site, "node", "router", "hall", "--address", "10.0.0.1", "--address", "hub.example.org")
+def test_only_a_routers_certificate_serves(site: Path, secure: Secure) -> None:
+    secure("node", "camera", "c1")
+    secure("node", "router", "hall", "--address", "10.0.0.1", "--address", "hub.example.org")
     uses = {}
     for stem in ("camera-c1", "router-hall"):
         certificate = load_certificate(site.parent / "secure" / f"{stem}.pem")
@@ -81,22 +91,18 @@ def test_only_a_routers_certificate_serves(site: Path) -> None:
     assert told == {"10.0.0.1", "hub.example.org", "localhost", "127.0.0.1", "::1"}
 
 
-def test_revoked_node_is_not_trusted_and_may_be_made_anew(
-    site: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    secure(site, "node", "camera", "c1")
-    secure(site, "node", "camera", "c2")
+def test_revoked_node_is_not_trusted_and_may_be_made_anew(site: Path, secure: Secure) -> None:
+    secure("node", "camera", "c1")
+    secure("node", "camera", "c2")
     before = load_certificates(site.parent / "secure" / "trust.pem")
-    assert secure(site, "revoke", "camera", "c1") == 0
+    secure("revoke", "camera", "c1")
     assert names(site) == ["lab/camera/c2"]
     assert not (site.parent / "secure" / "camera-c1.key").exists()
-    assert secure(site, "node", "camera", "c1") == 0
+    secure("node", "camera", "c1")
     after = load_certificates(site.parent / "secure" / "trust.pem")
     assert names(site) == ["lab/camera/c1", "lab/camera/c2"]
     assert len(set(before) & set(after)) == 1
-    capsys.readouterr()
-    assert secure(site, "list", "--json") == 0
-    rows = json.loads(capsys.readouterr().out)
+    rows = json.loads(secure("list", "--json"))
     assert [(row["name"], row["state"]) for row in rows] == [
         ("lab/camera/c1", "ok"),
         ("lab/camera/c2", "ok"),
@@ -104,14 +110,14 @@ def test_revoked_node_is_not_trusted_and_may_be_made_anew(
     ]
 
 
-def test_renewed_certificate_is_for_the_same_key_and_anchor(site: Path) -> None:
-    secure(site, "node", "camera", "c1", "--days", "10")
+def test_renewed_certificate_is_for_the_same_key_and_anchor(site: Path, secure: Secure) -> None:
+    secure("node", "camera", "c1", "--days", "10")
     folder = site.parent / "secure"
     before, trust = load_certificate(folder / "camera-c1.pem"), (folder / "trust.pem").read_bytes()
     credentials = node_credentials(load_site(site), Kind.CAMERA, "c1")
     assert least_days([credentials]) == pytest.approx(10.0, abs=0.1)
     assert "runs out in 9 days; trigpoint secure renew camera c1" in first_complaint([credentials])
-    assert secure(site, "renew", "camera", "c1") == 0
+    secure("renew", "camera", "c1")
     after = load_certificate(folder / "camera-c1.pem")
     assert after.public_key() == before.public_key()
     assert after.serial_number != before.serial_number
@@ -121,48 +127,42 @@ def test_renewed_certificate_is_for_the_same_key_and_anchor(site: Path) -> None:
     assert least_days([credentials]) == pytest.approx(365.0, abs=1.1)
 
 
-def test_router_that_moves_is_renewed_for_its_new_address(
-    site: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    secure(site, "node", "router", "hall", "--address", "10.0.0.1")
+def test_router_that_moves_is_renewed_for_its_new_address(site: Path, secure: Secure) -> None:
+    secure("node", "router", "hall", "--address", "10.0.0.1")
     trust = (site.parent / "secure" / "trust.pem").read_bytes()
-    assert secure(site, "renew", "router", "hall") == 0
-    secure(site, "list")
-    assert "lab/router/hall, reached at 10.0.0.1 localhost" in capsys.readouterr().out
-    assert secure(site, "renew", "router", "hall", "--address", "10.0.0.2") == 0
-    secure(site, "list")
-    assert "lab/router/hall, reached at 10.0.0.2 localhost" in capsys.readouterr().out
+    secure("renew", "router", "hall")
+    assert "lab/router/hall, reached at 10.0.0.1 localhost" in secure("list")
+    secure("renew", "router", "hall", "--address", "10.0.0.2")
+    assert "lab/router/hall, reached at 10.0.0.2 localhost" in secure("list")
     assert (site.parent / "secure" / "trust.pem").read_bytes() == trust
 
 
 def test_list_tells_of_an_anchor_that_was_smuggled_in(
-    site: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    site: Path, secure: Secure, tmp_path: Path
 ) -> None:
-    secure(site, "node", "camera", "c1")
+    secure("node", "camera", "c1")
     (tmp_path / "other").mkdir()
     other = tmp_path / "other" / "site.toml"
     other.write_text(site_text(bus=BUS))
-    secure(other, "init")
-    secure(other, "node", "operator", "mallory")
+    secure("init", at=other)
+    secure("node", "operator", "mallory", at=other)
     trust = site.parent / "secure" / "trust.pem"
     trust.write_bytes(trust.read_bytes() + (other.parent / "secure" / "trust.pem").read_bytes())
-    capsys.readouterr()
-    assert secure(site, "list") == 1
-    assert "«anchor lab/operator/mallory» is in" in capsys.readouterr().out
+    assert "«anchor lab/operator/mallory» is in" in secure("list", status=1)
 
 
-def test_only_another_sites_router_is_admitted(site: Path, tmp_path: Path) -> None:
+def test_only_another_sites_router_is_admitted(site: Path, secure: Secure, tmp_path: Path) -> None:
     (tmp_path / "other").mkdir()
     other = tmp_path / "other" / "site.toml"
     other.write_text(site_text(name="hall", bus=BUS))
-    secure(other, "init")
-    secure(other, "node", "router", "hub")
-    secure(other, "node", "camera", "c1")
+    secure("init", at=other)
+    secure("node", "router", "hub", at=other)
+    secure("node", "camera", "c1", at=other)
     anchors = other.parent / "authority" / "anchors"
-    assert secure(site, "admit", str(anchors / "camera-c1.pem")) == 2
-    assert secure(site, "admit", str(anchors / "router-hub.pem")) == 0
+    secure("admit", str(anchors / "camera-c1.pem"), status=2)
+    secure("admit", str(anchors / "router-hub.pem"))
     assert names(site) == ["hall/router/hub"]
-    assert secure(site, "list") == 0
+    secure("list")
 
 
 @pytest.mark.parametrize(
@@ -180,29 +180,27 @@ def test_only_another_sites_router_is_admitted(site: Path, tmp_path: Path) -> No
     ],
 )
 def test_wrong_use_is_told_in_one_line(
-    site: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], expected: str
+    site: Path, secure: Secure, cli: Cli, words: tuple[str, ...], expected: str
 ) -> None:
-    capsys.readouterr()
-    assert secure(site, *words) == 2
-    error = capsys.readouterr().err
-    assert expected in error
-    assert error.count("\n") == 1
+    assert expected in cli.refused("secure", *words, "--site", site)
 
 
-def test_certificate_of_somebody_else_is_refused(site: Path) -> None:
-    secure(site, "node", "camera", "c1")
-    secure(site, "node", "camera", "c2")
+def test_certificate_of_somebody_else_is_refused(site: Path, secure: Secure) -> None:
+    secure("node", "camera", "c1")
+    secure("node", "camera", "c2")
     folder = site.parent / "secure"
     (folder / "camera-c2.pem").replace(folder / "camera-c1.pem")
     with pytest.raises(ConfigError, match="is the certificate of «lab/camera/c2»"):
         node_credentials(load_site(site), Kind.CAMERA, "c1")
 
 
-def test_zenoh_reads_the_configuration_for_zenohd(site: Path, tmp_path: Path) -> None:
-    secure(site, "node", "router", "hall")
-    secure(site, "node", "camera", "c1")
+def test_zenoh_reads_the_configuration_for_zenohd(
+    site: Path, secure: Secure, tmp_path: Path
+) -> None:
+    secure("node", "router", "hall")
+    secure("node", "camera", "c1")
     written = tmp_path / "router.json5"
-    assert secure(site, "router", "--out", str(written)) == 0
+    secure("router", "--out", str(written))
     config = zenoh.Config.from_file(str(written))
     assert json.loads(config.get_json("mode")) == "router"
     assert json.loads(config.get_json("access_control/default_permission")) == "deny"

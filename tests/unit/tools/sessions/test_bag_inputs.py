@@ -10,90 +10,59 @@ import numpy as np
 import pytest
 import zstandard
 from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from support.builders import make_odometry
-from support.fusion.drives import Session, lab_plan, make_session, write_session
-from support.pictures.boards import (
-    CAMERA,
-    CHARUCO_TARGET,
-    charuco,
-    picture_of,
-    placed,
-    plain_picture,
-)
+from support.commands import Cli, Said
+from support.fusion.foreign import as_foreign
+from support.pictures.boards import CAMERA, charuco, picture_of, placed, plain_picture
 
-from trigpoint.cli import run
 from trigpoint.contract import cdr
-from trigpoint.contract.messages import SIGHTINGS, CameraInfo, Odometry, Sightings
-from trigpoint.contract.topics import ODOMETRY as ODOMETRY_TOPIC
+from trigpoint.contract.cdr_ros import Builder, store
+from trigpoint.contract.messages import CameraInfo, Odometry, Sightings
 from trigpoint.fusion.inputs import load_inputs
-from trigpoint.recorder.session.recording import open_recording
 from trigpoint.site.config import load_site
 from trigpoint.tools.sessions.bag import bag_messages, parse_roles
 
-STORE = get_typestore(Stores.ROS2_JAZZY)
-HEADER, TIME = STORE.types["std_msgs/msg/Header"], STORE.types["builtin_interfaces/msg/Time"]
-IMAGE = STORE.types["sensor_msgs/msg/Image"]
-COMPRESSED = STORE.types["sensor_msgs/msg/CompressedImage"]
-BOARD = charuco()
-GREY = picture_of([placed(BOARD, distance=0.8, tilt_deg=15)])
+GREY = picture_of([placed(charuco(), distance=0.8, tilt_deg=15)])
 COLOUR = np.stack([GREY] * 3, axis=-1)
-
-
-def header(stamp_s: int) -> Any:
-    return HEADER(stamp=TIME(sec=stamp_s, nanosec=0), frame_id="camera")
+build = Builder()
 
 
 def raw(picture: np.ndarray, encoding: str, padding: int = 0) -> Any:
     rows = picture.reshape(picture.shape[0], -1).view(np.uint8)
     rows = np.pad(rows, ((0, 0), (0, padding)))
-    height, width = picture.shape[:2]
-    return IMAGE(
-        header=header(1),
-        height=height,
-        width=width,
-        encoding=encoding,
-        is_bigendian=0,
-        step=rows.shape[1],
-        data=rows.reshape(-1),
-    )
+    size = {"height": picture.shape[0], "width": picture.shape[1], "step": rows.shape[1]}
+    form = {"encoding": encoding, "is_bigendian": 0, "data": rows.reshape(-1)}
+    return build("sensor_msgs/Image", header=build.header(10**9, "camera"), **size, **form)
 
 
 def compressed(picture: np.ndarray) -> Any:
     data = cv2.imencode(".png", picture)[1].reshape(-1)
-    return COMPRESSED(header=header(2), format="png", data=data)
+    header = build.header(2 * 10**9, "camera")
+    return build("sensor_msgs/CompressedImage", header=header, format="png", data=data)
 
 
 def write_bag(path: Path, plugin: StoragePlugin, topics: dict[str, list[Any]]) -> Path:
     with Writer(path, version=9, storage_plugin=plugin) as writer:
         for topic, messages in topics.items():
             kind = messages[0].__msgtype__
-            connection = writer.add_connection(topic, kind, typestore=STORE)
+            connection = writer.add_connection(topic, kind, typestore=store())
             for number, message in enumerate(messages):
-                data = STORE.serialize_cdr(message, kind)
+                data = store().serialize_cdr(message, kind)
                 writer.write(connection, 10**9 * (number + 1), data)
     return path
 
 
-@pytest.fixture
-def target(tmp_path: Path) -> Path:
-    path = tmp_path / "target.toml"
-    path.write_text(CHARUCO_TARGET)
-    return path
-
-
-def faces(capsys: pytest.CaptureFixture[str]) -> list[list[dict[str, Any]]]:
-    return [json.loads(line)["faces"] for line in capsys.readouterr().out.splitlines()]
+def faces(said: Said) -> list[list[dict[str, Any]]]:
+    return [json.loads(line)["faces"] for line in said.out.splitlines()]
 
 
 @pytest.mark.parametrize("plugin", [StoragePlugin.SQLITE3, StoragePlugin.MCAP])
 def test_a_bags_pictures_are_searched_as_files_are(
-    tmp_path: Path, target: Path, plugin: StoragePlugin, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, target: Path, plugin: StoragePlugin, cli: Cli
 ) -> None:
     (tmp_path / "shots").mkdir()
     cv2.imwrite(str(tmp_path / "shots" / "a.png"), GREY)
-    assert run(["detect", str(tmp_path / "shots"), "--target", str(target), "--json"]) == 0
-    (expected,) = faces(capsys)
+    (expected,) = faces(cli("detect", tmp_path / "shots", "--target", target, "--json"))
     bag = write_bag(
         tmp_path / "bag",
         plugin,
@@ -108,39 +77,30 @@ def test_a_bags_pictures_are_searched_as_files_are(
             "/back/image/compressed": [compressed(GREY)],
         },
     )
-    words = ["detect", str(bag), "--target", str(target), "--json", "--topic"]
-    assert run([*words, "/front/image_raw"]) == 0
-    assert faces(capsys) == [expected] * 5
-    assert run([*words, "/back/image/compressed"]) == 0
-    assert faces(capsys) == [expected]
+    words = ["detect", bag, "--target", target, "--json", "--topic"]
+    assert faces(cli(*words, "/front/image_raw")) == [expected] * 5
+    assert faces(cli(*words, "/back/image/compressed")) == [expected]
 
 
 def test_which_topic_is_asked_for_where_there_are_several(
-    tmp_path: Path, target: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, target: Path, cli: Cli
 ) -> None:
     pictures = {"/a": [compressed(GREY)], "/b": [compressed(plain_picture())]}
     bag = write_bag(tmp_path / "bag", StoragePlugin.MCAP, pictures)
-    assert run(["detect", str(bag), "--target", str(target)]) == 2
-    assert "several topics with pictures (/a, /b)" in capsys.readouterr().err
-    assert run(["detect", str(bag), "--target", str(target), "--topic", "/c"]) == 2
-    assert "there is no topic /c" in capsys.readouterr().err
+    assert "several topics with pictures (/a, /b)" in cli.refused("detect", bag, "--target", target)
+    assert "there is no topic /c" in cli.refused("detect", bag, "--target", target, "--topic", "/c")
 
 
-def test_a_damaged_bag_is_one_line(
-    tmp_path: Path, target: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_damaged_bag_is_one_line(tmp_path: Path, target: Path, cli: Cli) -> None:
     (tmp_path / "x.mcap").write_bytes(b"\x89MCAP0\r\n and no more")
-    assert run(["detect", str(tmp_path / "x.mcap"), "--target", str(target)]) == 2
-    error = capsys.readouterr().err
+    error = cli.refused("detect", tmp_path / "x.mcap", "--target", target)
     assert error.count("\n") == 1
     assert "trigpoint check" in error
 
 
-def test_intrinsics_come_out_of_a_bag(
-    tmp_path: Path, target: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_intrinsics_come_out_of_a_bag(tmp_path: Path, target: Path, cli: Cli) -> None:
     tilts = [(-35, 0.7), (-20, 0.9), (0, 0.6), (15, 0.8), (25, 1.0), (40, 0.75)]
-    views = [picture_of([placed(BOARD, distance=d, tilt_deg=t)]) for t, d in tilts]
+    views = [picture_of([placed(charuco(), distance=d, tilt_deg=t)]) for t, d in tilts]
     shots = tmp_path / "shots"
     shots.mkdir()
     for number, view in enumerate(views):
@@ -150,91 +110,51 @@ def test_intrinsics_come_out_of_a_bag(
     lenses = []
     for pictures in (shots, bag):
         out = tmp_path / f"{pictures.name}.yaml"
-        assert run(["intrinsics", str(pictures), "--target", str(target), "--out", str(out)]) == 0
+        cli("intrinsics", pictures, "--target", target, "--out", out)
         lenses.append(out.read_text().replace(pictures.name, ""))
     assert lenses[0] == lenses[1]
 
 
-@pytest.fixture(scope="module")
-def drive() -> Session:
-    return make_session(lab_plan(picture_rate=1.0))
-
-
 def test_a_foreign_bag_is_calibrated_to_the_same_network(
-    drive: Session, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    recorded: Path, tmp_path: Path, cli: Cli
 ) -> None:
-    recorded = write_session(drive, tmp_path / "own")
-    assert run(["calibrate", str(recorded), "--json"]) == 0
-    expected = json.loads(capsys.readouterr().out)
-    bag, roles = _as_foreign(recorded, tmp_path / "bag")
-    site = tmp_path / "site.toml"
-    recording = open_recording(recorded)
-    for name, data in recording.attachments.items():
-        (tmp_path / name).write_bytes(data)
-    words = [word for role in roles for word in ("--topic", role)]
-    assert run(["calibrate", str(bag), "--site", str(site), "--json", *words]) == 0
-    assert json.loads(capsys.readouterr().out) == expected
-    assert run(["calibrate", str(bag), *words]) == 2
-    assert "--site" in capsys.readouterr().err
+    expected = json.loads(cli("calibrate", recorded, "--json", "--out", tmp_path / "own").out)
+    words = as_foreign(recorded, tmp_path, plugin=StoragePlugin.SQLITE3)
+    site = ("--site", tmp_path / "site.toml")
+    assert json.loads(cli("calibrate", *words, *site, "--json").out) == expected
+    assert "--site" in cli.refused("calibrate", *words)
 
 
 def test_a_packed_session_is_calibrated_as_it_was_before(
-    drive: Session, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    recorded: Path, tmp_path: Path, cli: Cli
 ) -> None:
-    file = next(write_session(drive, tmp_path / "own").glob("*.mcap"))
+    file = recorded / "session.mcap"
     packed = tmp_path / "packed" / "session.mcap.zstd"
     packed.parent.mkdir()
     packed.write_bytes(zstandard.compress(file.read_bytes()))
-    said = []
-    for session in (file, packed.parent):
-        assert run(["calibrate", str(session), "--json"]) == 0
-        said.append(capsys.readouterr().out)
-    assert said[0] == said[1]
+    expected = cli("calibrate", file, "--json", "--out", tmp_path / "own").out
+    assert cli("calibrate", packed.parent, "--json").out == expected
     assert (packed.parent / "calibration").is_dir()
-    assert run(["review", str(packed.parent), "--save", str(tmp_path / "a.rrd")]) == 0
-
-
-def _as_foreign(recorded: Path, path: Path) -> tuple[Path, list[str]]:
-    """The session as a bag of other topics, and whose they are."""
-    store = get_typestore(Stores.ROS2_JAZZY)
-    for name in (SIGHTINGS, "trigpoint_msgs/msg/FaceSighting"):
-        store.register(get_types_from_msg(_definition(name), name))
-    roles, connections = [], {}
-    with Writer(path, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
-        for sample in open_recording(recorded).samples():
-            if sample.key not in connections:
-                topic = f"/foreign/{len(connections)}"
-                roles.append(f"{sample.key.split('/')[2]}={topic}")
-                connections[sample.key] = writer.add_connection(
-                    topic, sample.topic.type_name, typestore=store
-                )
-            writer.write(connections[sample.key], sample.log_ns, sample.payload)
-    return path, roles
-
-
-def _definition(name: str) -> str:
-    text = cdr.definition(SIGHTINGS)
-    first, *others = text.split("=" * 80 + "\n")
-    for other in others:
-        title, _, body = other.partition("\n")
-        if title == f"MSG: {name.replace('/msg/', '/')}":
-            return body
-    return first
+    cli("review", packed.parent, "--save", tmp_path / "a.rrd")
 
 
 def test_pictures_of_a_bag_become_sightings_with_the_lens_beside_them(
     tmp_path: Path, target: Path
 ) -> None:
-
     (tmp_path / "site.toml").write_text(
         'site = "lab"\ntarget = "target.toml"\n[cameras.c1]\nsource = "dir://x"\n'
         '[robots.r1]\nport = "loop://"\n'
     )
-    info = store_info()
+    sent = {
+        "/front/camera_info": CameraInfo(10**9, "camera", CAMERA),
+        "/odom": make_odometry(10**9),
+    }
+    topics = {
+        topic: [store().deserialize_cdr(cdr.encode(message), cdr.type_name(message))]
+        for topic, message in sent.items()
+    }
     bag = write_bag(
-        tmp_path / "bag",
-        StoragePlugin.MCAP,
-        {"/front/image_raw": [raw(GREY, "mono8")], "/front/camera_info": [info], "/odom": [odom()]},
+        tmp_path / "bag", StoragePlugin.MCAP, {"/front/image_raw": [raw(GREY, "mono8")], **topics}
     )
     inputs = load_inputs(load_site(tmp_path / "site.toml"))
     roles = parse_roles(["c1=/front/image_raw", "r1=/odom"])
@@ -245,13 +165,3 @@ def test_pictures_of_a_bag_become_sightings_with_the_lens_beside_them(
     ]
     assert name == "c1"
     assert len(sighting.faces) == 1
-
-
-def store_info() -> Any:
-    message = CameraInfo(10**9, "camera", CAMERA)
-    return STORE.deserialize_cdr(cdr.encode(message), "sensor_msgs/msg/CameraInfo")
-
-
-def odom() -> Any:
-
-    return STORE.deserialize_cdr(cdr.encode(make_odometry(10**9)), ODOMETRY_TOPIC.type_name)

@@ -3,7 +3,6 @@ else said, with how many and what to do."""
 
 import json
 import re
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,52 +10,23 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rosbags.rosbag2 import StoragePlugin, Writer
-from support.fusion.drives import Session, lab_plan, make_session, write_session
+from support.commands import Cli, Said
+from support.fusion.drives import Session
+from support.fusion.foreign import Change, as_foreign
 
-from trigpoint.cli import run
 from trigpoint.contract import cdr
 from trigpoint.contract.cdr_ros import store
 from trigpoint.contract.messages import ODOMETRY, SIGHTINGS, Mended, Odometry
 from trigpoint.geometry import Pose
-from trigpoint.recorder.session.recording import open_recording
-
-Change = Callable[[int, Any], None]
 
 
-@pytest.fixture(scope="module")
-def drive() -> Session:
-    return make_session(lab_plan(picture_rate=1.0))
-
-
-@pytest.fixture(scope="module")
-def recorded(drive: Session, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_session(drive, tmp_path_factory.mktemp("recorded"))
-
-
-def calibrated(recorded: Path, folder: Path, change: Change, kind: str = ODOMETRY) -> int:
-    """The status of `calibrate` over the drive as a foreign bag, its messages of one type changed
-    before, with their number."""
-    recording, connections, number = open_recording(recorded), dict[str, Any](), 0
-    with Writer(folder / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        for sample in recording.samples():
-            name, data = sample.topic.type_name, sample.payload
-            topic = f"/{sample.key.split('/')[2]}/{name.rpartition('/')[2]}"
-            if topic not in connections:
-                connections[topic] = writer.add_connection(topic, name, typestore=store())
-            if name == kind:
-                message = store().deserialize_cdr(data, name)
-                change(number, message)
-                number += 1
-                data = bytes(store().serialize_cdr(message, name))
-            writer.write(connections[topic], sample.log_ns, data)
-    for name, data in recording.attachments.items():
-        (folder / name).write_bytes(data)
-    words = [word for t in connections for word in ("--topic", f"{t.split('/')[1]}={t}")]
-    out = ("--out", str(folder / "out"))
-    return run(
-        ["calibrate", str(folder / "bag"), "--site", str(folder / "site.toml"), *out, *words]
-    )
+def calibrated(
+    cli: Cli, recorded: Path, folder: Path, change: Change, kind: str = ODOMETRY, *, status: int = 0
+) -> Said:
+    """What `calibrate` says of the drive as a foreign bag whose messages were changed before."""
+    words = as_foreign(recorded, folder, change, kind=kind)
+    places = ("--site", folder / "site.toml", "--out", folder / "out")
+    return cli("calibrate", *words, *places, status=status)
 
 
 def stamp(message: Any, stamp_ns: int) -> None:
@@ -87,13 +57,12 @@ def by_simulator(number: int, message: Any) -> None:
 def test_times_that_never_overlap_are_said_everywhere_with_the_remedy(
     recorded: Path,
     tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    cli: Cli,
     kind: str,
     change: Change,
     remedy: str,
 ) -> None:
-    assert calibrated(recorded, tmp_path, change, kind) == 1
-    said = capsys.readouterr()
+    said = calibrated(cli, recorded, tmp_path, change, kind, status=1)
     assert re.search(r"c1\s+unseen", said.out)
     network = json.loads((tmp_path / "out" / "network.json").read_text())
     page = (tmp_path / "out" / "report.html").read_text()
@@ -103,29 +72,32 @@ def test_times_that_never_overlap_are_said_everywhere_with_the_remedy(
 
 
 def test_a_stamp_of_zero_is_the_time_of_recording_and_said(
-    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    recorded: Path, tmp_path: Path, cli: Cli
 ) -> None:
-    assert calibrated(recorded, tmp_path, lambda n, m: stamp(m, 0) if n >= 3 else None) == 0
-    said = capsys.readouterr()
+    def change(number: int, message: Any) -> None:
+        if number >= 3:
+            stamp(message, 0)
+
+    said = calibrated(cli, recorded, tmp_path, change)
     assert re.search(r"r1: \d+ messages without a stamp", said.err)
     assert re.search(r"c1\s+located", said.out)
 
 
 def test_odometry_that_is_none_is_counted_and_the_status_is_1(
-    recorded: Path, drive: Session, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    recorded: Path, drive: Session, tmp_path: Path, cli: Cli
 ) -> None:
     def change(_number: int, message: Any) -> None:
         message.pose.pose.position.x = np.nan
 
-    assert calibrated(recorded, tmp_path, change) == 1
+    said = calibrated(cli, recorded, tmp_path, change, status=1)
     count = sum(isinstance(message, Odometry) for _, message in drive.messages)
     assert f"{count} messages of /r1/Odometry: a position holds a number that is not finite" in (
-        capsys.readouterr().err
+        said.err
     )
 
 
 def test_sightings_of_which_none_can_be_read_are_the_reason_and_the_status_is_1(
-    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    recorded: Path, tmp_path: Path, cli: Cli
 ) -> None:
     none = {"target": "", "face": 0, "corners": np.zeros(0, np.uint16)}
     face = store().types["trigpoint_msgs/msg/FaceSighting"]
@@ -133,8 +105,7 @@ def test_sightings_of_which_none_can_be_read_are_the_reason_and_the_status_is_1(
     def change(_number: int, message: Any) -> None:
         message.faces = [face(**none, pixels=np.zeros(0, np.float32), sigma=np.nan)]
 
-    assert calibrated(recorded, tmp_path, change, SIGHTINGS) == 1
-    said = capsys.readouterr().err
+    said = calibrated(cli, recorded, tmp_path, change, SIGHTINGS, status=1).err
     assert re.search(r"c1.* is unseen: nothing of it could be read: \d+ messages of /c1/S", said)
     assert "nothing of it could be read" in (tmp_path / "out" / "report.html").read_text()
 

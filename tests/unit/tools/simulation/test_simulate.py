@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.commands import Cli
 
-from trigpoint import cli
 from trigpoint.base.clock import to_ns
 from trigpoint.base.errors import OperationError
 from trigpoint.contract import cdr
@@ -142,15 +142,14 @@ def test_a_site_of_rolling_shutters_says_so(tmp_path: Path) -> None:
     assert [site.camera(name).line_delay for name in ("c1", "c2")] == [0.0, -30e-6]
 
 
-def test_the_command_writes_a_folder_and_says_so(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert cli.run(["simulate", "loop", "--out", str(tmp_path / "x"), "--seed", "2"]) == 0
-    assert "3404 odometry messages" in capsys.readouterr().out
+def test_the_command_writes_a_folder_and_says_so(tmp_path: Path, cli: Cli) -> None:
+    assert (
+        "3404 odometry messages"
+        in cli("simulate", "loop", "--out", tmp_path / "x", "--seed", "2").out
+    )
     assert (tmp_path / "x" / "session.mcap").exists()
-    assert cli.run(["simulate", "loop", "--out", str(tmp_path / "x")]) == 1
-    assert cli.run(["simulate", "moon", "--out", str(tmp_path / "y")]) == 2
-    assert "no world «moon»" in capsys.readouterr().err
+    cli("simulate", "loop", "--out", tmp_path / "x", status=1)
+    assert "no world «moon»" in cli.refused("simulate", "moon", "--out", tmp_path / "y")
     assert not (tmp_path / "y").exists()
 
 

@@ -7,6 +7,7 @@ import msgspec
 import pytest
 from msgspec import Struct
 from support.builders import site_text
+from support.commands import Cli
 
 from trigpoint.cli import run
 from trigpoint.site import config
@@ -77,25 +78,22 @@ def test_targets_faces_look_ahead_left_and_right(tmp_path: Path) -> None:
     assert normals == [[1, 0, 0], [0, 1, 0], [0, -1, 0]]
 
 
-def test_files_that_exist_are_kept_unless_forced(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_files_that_exist_are_kept_unless_forced(tmp_path: Path, cli: Cli) -> None:
     kept = tmp_path / "target.toml"
     kept.write_text("mine")
-    assert run(["init", "--directory", str(tmp_path)]) == 2
-    assert "target.toml exists already; add --force" in capsys.readouterr().err
+    assert "target.toml exists already; add --force" in cli.refused("init", "--directory", tmp_path)
     assert kept.read_text() == "mine"
     assert not (tmp_path / "site.toml").exists()
-    assert run(["init", "--directory", str(tmp_path), "--force"]) == 0
+    cli("init", "--directory", tmp_path, "--force")
     assert load_target(kept).name == "box"
 
 
-def test_folder_that_cannot_be_made_is_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_folder_that_cannot_be_made_is_one_line(tmp_path: Path, cli: Cli) -> None:
     (tmp_path / "file").write_text("")
-    assert run(["init", "--directory", str(tmp_path / "file")]) == 1
-    assert "nothing can be written there" in capsys.readouterr().err
+    assert (
+        "nothing can be written there"
+        in cli("init", "--directory", tmp_path / "file", status=1).err
+    )
 
 
 def service_of(file: Path) -> dict[str, str]:
@@ -153,17 +151,13 @@ def test_recorder_may_write_where_the_site_file_says(tmp_path: Path) -> None:
     assert "ReadWritePaths" not in (tmp_path / "systemd" / "trigpoint-edge@.service").read_text()
 
 
-def test_units_are_written_for_a_site_that_exists_and_is_kept(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_units_are_written_for_a_site_that_exists_and_is_kept(tmp_path: Path, cli: Cli) -> None:
     site = tmp_path / "site.toml"
     site.write_text(site_text(cameras=2))
-    words = ["init", "--systemd", "--directory", str(tmp_path)]
-    assert run(words) == 0
+    words = ("init", "--systemd", "--directory", tmp_path)
+    assert "trigpoint-edge@c1 trigpoint-edge@c2 trigpoint-robot@r1" in cli(*words).out
     assert site.read_text() == site_text(cameras=2)
-    assert "trigpoint-edge@c1 trigpoint-edge@c2 trigpoint-robot@r1" in capsys.readouterr().out
-    assert run(words) == 2
-    assert "exists already; add --force" in capsys.readouterr().err
+    assert "exists already; add --force" in cli.refused(*words)
 
 
 def test_camera_and_robot_that_are_said_stand_in_the_file(tmp_path: Path) -> None:
@@ -183,8 +177,7 @@ def test_camera_and_robot_that_are_said_stand_in_the_file(tmp_path: Path) -> Non
     ],
 )
 def test_camera_that_is_none_is_one_clear_line_and_no_file(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], message: str
+    tmp_path: Path, cli: Cli, words: list[str], message: str
 ) -> None:
-    assert run(["init", "--directory", str(tmp_path), *words]) == 2
-    assert message in capsys.readouterr().err
+    assert message in cli.refused("init", "--directory", tmp_path, *words)
     assert list(tmp_path.iterdir()) == []

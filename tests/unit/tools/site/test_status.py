@@ -6,10 +6,9 @@ from datetime import datetime
 from pathlib import Path
 
 import msgspec
-import pytest
 from support.builders import site_text
+from support.commands import Cli
 
-from trigpoint.cli import run
 from trigpoint.contract.messages import DiagnosticStatus
 from trigpoint.contract.topics import DIAGNOSTICS
 from trigpoint.node.node import Node
@@ -132,7 +131,7 @@ def test_look_hears_the_nodes_and_skips_garbage() -> None:
 
 
 def test_command_shows_the_live_site(
-    tmp_path: Path, free_port: Callable[[], int], capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, free_port: Callable[[], int], cli: Cli
 ) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     path = tmp_path / "site.toml"
@@ -140,15 +139,14 @@ def test_command_shows_the_live_site(
     serving = parse_site(site_text(bus=f'listen = ["{endpoint}"]'), directory=tmp_path)
     with open_bus(serving) as bus, Node(bus, site="lab", kind="edge", name="c1"):
         # The bridge of robot r1, which the site file names, does not run.
-        assert run(["status", "--site", str(path), "--json"]) == 1
-        status = json.loads(capsys.readouterr().out)
+        status = json.loads(cli("status", "--site", path, "--json", status=1).out)
         assert [(node["name"], node["state"]) for node in status["nodes"]] == [
             ("edge/c1", "ok"),
             ("robot/r1", "missing"),
         ]
         assert datetime.fromisoformat(status["time"]).utcoffset() is not None
         with Node(bus, site="lab", kind="robot", name="r1"):
-            assert run(["status", "--site", str(path)]) == 0
+            cli("status", "--site", path)
 
 
 def test_states_in_words_stay_words() -> None:

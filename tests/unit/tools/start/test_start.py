@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import NoReturn
 
 import pytest
+from support.commands import Cli, Said
 
 from trigpoint.base.errors import InputError
 from trigpoint.cli import run
@@ -17,7 +18,7 @@ from trigpoint.tools.start import command as module
 from trigpoint.tools.start import hardware
 from trigpoint.tools.start.questions import Question, Questions
 
-Start = Callable[..., int]
+Start = Callable[..., Said]
 
 
 class Become(BaseException):
@@ -45,16 +46,16 @@ def ran(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
 
 
 @pytest.fixture
-def start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Start:
+def start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Cli) -> Start:
     """Runs it in a folder of its own, on a machine without devices."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(hardware, "cameras", list)
     monkeypatch.setattr(hardware, "ports", list)
     (tmp_path / "pictures").mkdir()
 
-    def answered(*answers: str, words: tuple[str, ...] = ()) -> int:
+    def answered(*answers: str, words: tuple[str, ...] = (), status: int = 0) -> Said:
         monkeypatch.setattr(sys, "stdin", io.StringIO("".join(f"{line}\n" for line in answers)))
-        return run(["start", *words])
+        return cli("start", *words, status=status)
 
     return answered
 
@@ -79,7 +80,6 @@ def test_look_is_for_the_sites_target_and_no_password_is_shown(
     ran: list[list[str]],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
 ) -> None:
     def ended(command: tuple[str, ...], *, check: bool) -> "subprocess.CompletedProcess[bytes]":
         assert not check
@@ -90,9 +90,8 @@ def test_look_is_for_the_sites_target_and_no_password_is_shown(
     camera = '[cameras.c1]\nsource = "rtsp://me:secret@hall/1"\n'
     (tmp_path / "site.toml").write_text(f'site = "lab"\ntarget = "target.toml"\n{camera}')
     monkeypatch.setattr(module.subprocess, "run", ended)
-    assert start("y", "n") == 0
+    shown = start("y", "n").out
     assert ran == [["look", "rtsp://me:secret@hall/1", "--target", "target.toml"]]
-    shown = capsys.readouterr().out
     assert "rtsp://hall/1" in shown
     assert "secret" not in shown
 
@@ -115,42 +114,33 @@ def test_who_has_nothing_gets_a_simulated_site_and_no_file(
     assert not (tmp_path / "site.toml").exists()
 
 
-def test_nothing_is_started_against_a_no(
-    start: Start, ran: list[list[str]], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert start("none", "n") == 0
+def test_nothing_is_started_against_a_no(start: Start, ran: list[list[str]]) -> None:
+    said = start("none", "n").out
     assert ran == []
-    assert "when you are ready: trigpoint up --simulate-robot" in capsys.readouterr().out
+    assert "when you are ready: trigpoint up --simulate-robot" in said
 
 
-def test_files_that_are_there_are_kept(
-    start: Start, ran: list[list[str]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_files_that_are_there_are_kept(start: Start, ran: list[list[str]], tmp_path: Path) -> None:
     assert run(["target", "make", "--board", "--out", str(tmp_path / "target.toml")]) == 0
     before = (tmp_path / "target.toml").read_bytes()
-    assert start("pictures", "none", "n", "n") == 0
+    start("pictures", "none", "n", "n")
     assert (tmp_path / "target.toml").read_bytes() == before
     assert [line[0] for line in ran] == ["init"]
     site = (tmp_path / "site.toml").read_bytes()
-    assert start("n", "n") == 0
+    assert "site.toml is there and stays as it is" in start("n", "n").out
     assert (tmp_path / "site.toml").read_bytes() == site
-    assert "site.toml is there and stays as it is" in capsys.readouterr().out
 
 
-def test_answers_that_end_are_one_clear_line(
-    start: Start, ran: list[list[str]], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert start("pictures") == 2
-    assert "the answers ended at «What is the robot connected to" in capsys.readouterr().err
+def test_answers_that_end_are_one_clear_line(start: Start, ran: list[list[str]]) -> None:
+    said = start("pictures", status=2).err
+    assert "the answers ended at «What is the robot connected to" in said
     assert ran == []
 
 
-def test_command_that_fails_ends_it(
-    start: Start, ran: list[list[str]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_command_that_fails_ends_it(start: Start, ran: list[list[str]], tmp_path: Path) -> None:
     (tmp_path / "target.pdf").touch()  # `target make` replaces nothing
-    assert start("pictures", "none", "board") == 1
-    assert "`trigpoint target make --board" in capsys.readouterr().err
+    said = start("pictures", "none", "board", status=1).err
+    assert "`trigpoint target make --board" in said
     assert not (tmp_path / "site.toml").exists()
 
 

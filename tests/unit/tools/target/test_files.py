@@ -10,6 +10,7 @@ from pathlib import Path
 
 import cv2
 import pytest
+from support.commands import Cli
 
 from trigpoint.cli import run
 from trigpoint.site.target import load_target
@@ -31,9 +32,8 @@ def pages(pdf: Path) -> list[str]:
     return [zlib.decompress(base64.a85decode(data.strip()[:-2])).decode() for data in found]
 
 
-def test_sound_target_is_said_to_be_so(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["target", "check", str(file)]) == 0
-    out = capsys.readouterr().out
+def test_sound_target_is_said_to_be_so(file: Path, cli: Cli) -> None:
+    out = cli("target", "check", file).out
     assert "target «three-plane» is sound: 6 faces, 288 corners" in out
     assert "look alike" in out
 
@@ -48,26 +48,21 @@ def test_check_needs_no_printer(file: Path) -> None:
     assert subprocess.run(words, capture_output=True, timeout=60).returncode == 0
 
 
-def test_check_as_json(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["target", "check", "--json", str(file)]) == 0
-    result = json.loads(capsys.readouterr().out)
+def test_check_as_json(file: Path, cli: Cli) -> None:
+    result = json.loads(cli("target", "check", "--json", file).out)
     assert (result["target"], result["problems"], len(result["notes"])) == ("three-plane", [], 2)
 
 
-def test_unsound_target_exits_2_with_one_line(
-    file: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_unsound_target_exits_2_with_one_line(file: Path, cli: Cli) -> None:
     text = target_text(target_of("charuco")).replace("first_marker = 50", "first_marker = 245")
     file.write_text(text)
-    assert run(["target", "check", str(file)]) == 2
-    [line] = capsys.readouterr().err.splitlines()
+    [line] = cli("target", "check", file, status=2).err.splitlines()
     assert f"{file}: 1 to mend: face 5 needs markers 245 to 254, but DICT_4X4_250 has 250" in line
-    assert run(["target", "draw", str(file)]) == 2
+    cli("target", "draw", file, status=2)
 
 
-def test_missing_target_exits_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["target", "check", str(tmp_path / "none.toml")]) == 2
-    assert "there is no such target file" in capsys.readouterr().err
+def test_missing_target_exits_2(tmp_path: Path, cli: Cli) -> None:
+    assert "there is no such target file" in cli.refused("target", "check", tmp_path / "none.toml")
 
 
 def test_drawing_has_a_page_a_face_at_true_scale(file: Path) -> None:
@@ -97,59 +92,46 @@ def test_same_target_is_drawn_as_the_same_bytes(file: Path, tmp_path: Path) -> N
     assert (tmp_path / "a.pdf").read_bytes() == (tmp_path / "b.pdf").read_bytes()
 
 
-def test_folder_that_does_not_exist_is_one_clear_line(
-    file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(["target", "draw", str(file), "--out", str(tmp_path / "no" / "x.pdf")]) == 1
-    [line] = capsys.readouterr().err.splitlines()
+def test_folder_that_does_not_exist_is_one_clear_line(file: Path, tmp_path: Path, cli: Cli) -> None:
+    [line] = cli(
+        "target", "draw", file, "--out", tmp_path / "no" / "x.pdf", status=1
+    ).err.splitlines()
     assert "cannot be written" in line
 
 
-def checked(path: Path, text: str, capsys: pytest.CaptureFixture[str]) -> str:
-    """What `target check` prints of a face with these lines, on something that is no terminal."""
+CHECKERBOARD = 'pattern = "checkerboard"\ncolumns = 5\nrows = 3\nsquare = 0.03\n'
+BOARD = "columns = {0}\nrows = {0}\nsquare = 0.03\nmarker = 0.02\n"
+
+
+@pytest.mark.parametrize(
+    ("face", "drawn"),
+    [
+        (CHECKERBOARD, "  ##  ##  ##\n    ##  ##  \n  ##  ##  ##\n"),
+        (CHECKERBOARD + "inverted = true\n", "    ##  ##  \n  ##  ##  ##\n    ##  ##  \n"),
+        # where OpenCV has its markers
+        (
+            f'pattern = "charuco"\n{BOARD.format(3)}dictionary = "DICT_4X4_50"\nfirst_marker = 7\n',
+            "  ## 7##\n   8## 9\n  ##10##\n",
+        ),
+        # Kalibr's, from the bottom left
+        (
+            f'pattern = "aprilgrid"\n{BOARD.format(2)}dictionary = "DICT_APRILTAG_36h11"\n'
+            'numbering = "kalibr"\n',
+            "##    ##    ##\n    [ 2]  [ 3]  \n",
+        ),
+    ],
+)
+def test_check_draws_a_board_as_it_is_printed(
+    tmp_path: Path, cli: Cli, face: str, drawn: str
+) -> None:
+    path = tmp_path / "t.toml"
     here = "translation = [0.0, 0.0, 0.0]\nquaternion = [0.0, 0.0, 0.0, 1.0]"
-    path.write_text(f'name = "t"\n[[faces]]\nid = 0\n{text}\n{here}\n')
-    assert run(["target", "check", str(path)]) == 0
-    return capsys.readouterr().out
+    path.write_text(f'name = "t"\n[[faces]]\nid = 0\n{face}{here}\n')
+    assert drawn in cli("target", "check", path).out
 
 
-def test_check_draws_a_checkerboard_in_its_colours(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    board = 'pattern = "checkerboard"\ncolumns = 5\nrows = 3\nsquare = 0.03\n'
-    drawn = checked(tmp_path / "t.toml", board, capsys)
-    assert "  ##  ##  ##\n    ##  ##  \n  ##  ##  ##\n" in drawn
-    inverted = checked(tmp_path / "t.toml", board + "inverted = true", capsys)
-    assert "    ##  ##  \n  ##  ##  ##\n    ##  ##  \n" in inverted
-
-
-def test_check_draws_a_charuco_boards_markers_where_opencv_has_them(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    board = (
-        'pattern = "charuco"\ncolumns = 3\nrows = 3\nsquare = 0.03\nmarker = 0.02\n'
-        'dictionary = "DICT_4X4_50"\nfirst_marker = 7\n'
-    )
-    assert "  ## 7##\n   8## 9\n  ##10##\n" in checked(tmp_path / "t.toml", board, capsys)
-
-
-def test_check_draws_kalibrs_grid_from_the_bottom_left(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    grid = (
-        'pattern = "aprilgrid"\ncolumns = 2\nrows = 2\nsquare = 0.03\nmarker = 0.02\n'
-        'dictionary = "DICT_APRILTAG_36h11"\nnumbering = "kalibr"\n'
-    )
-    drawn = checked(tmp_path / "t.toml", grid, capsys)
-    assert "##    ##    ##\n    [ 2]  [ 3]  \n" in drawn
-    assert drawn.index("[ 2]") < drawn.index("[ 0]")
-
-
-def test_check_draws_a_picture_of_each_face(
-    file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(["target", "check", str(file), "--picture", str(tmp_path / "board.png")]) == 0
-    assert "##" not in capsys.readouterr().out
+def test_check_draws_a_picture_of_each_face(file: Path, tmp_path: Path, cli: Cli) -> None:
+    assert "##" not in cli("target", "check", file, "--picture", tmp_path / "board.png").out
     faces = target_of("checkerboard").faces
     for face in faces:
         drawn = cv2.imread(str(tmp_path / f"board_{face.id}.png"))
@@ -164,15 +146,14 @@ CHECKER = (
 )
 
 
-def test_kalibrs_aprilgrid_is_imported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_kalibrs_aprilgrid_is_imported(tmp_path: Path, cli: Cli) -> None:
     (tmp_path / "april_6x5.yaml").write_text(APRIL + "codeOffset: 4\n")
-    assert run(["target", "import", str(tmp_path / "april_6x5.yaml")]) == 0
+    cli("target", "import", tmp_path / "april_6x5.yaml")
     [face] = load_target(tmp_path / "target.toml").faces
     assert (face.columns, face.rows, face.marker, face.first_marker) == (6, 5, 0.088, 4)
     assert face.square == pytest.approx(0.1144)
     assert (face.border_bits, face.numbering, face.has_corner_squares) == (2, "kalibr", True)
-    assert run(["target", "check", str(tmp_path / "target.toml")]) == 0
-    assert "is sound" in capsys.readouterr().out
+    assert "is sound" in cli("target", "check", tmp_path / "target.toml").out
 
 
 def test_kalibrs_checkerboard_is_imported_by_its_squares(tmp_path: Path) -> None:
@@ -195,21 +176,15 @@ def test_kalibrs_checkerboard_is_imported_by_its_squares(tmp_path: Path) -> None
         ("- 1\n", "a mapping is needed"),
     ],
 )
-def test_what_cannot_be_imported_is_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, why: str
-) -> None:
+def test_what_cannot_be_imported_is_named(tmp_path: Path, cli: Cli, text: str, why: str) -> None:
     (tmp_path / "board.yaml").write_text(text)
-    assert run(["target", "import", str(tmp_path / "board.yaml")]) == 2
-    assert why in capsys.readouterr().err
+    assert why in cli.refused("target", "import", tmp_path / "board.yaml")
     assert not (tmp_path / "target.toml").exists()
 
 
-def test_import_replaces_a_file_only_when_told(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_import_replaces_a_file_only_when_told(tmp_path: Path, cli: Cli) -> None:
     (tmp_path / "board.yaml").write_text(APRIL)
     (tmp_path / "target.toml").write_text("mine")
-    assert run(["target", "import", str(tmp_path / "board.yaml")]) == 2
-    assert "add --force" in capsys.readouterr().err
+    assert "add --force" in cli.refused("target", "import", tmp_path / "board.yaml")
     assert (tmp_path / "target.toml").read_text() == "mine"
-    assert run(["target", "import", str(tmp_path / "board.yaml"), "--force"]) == 0
+    cli("target", "import", tmp_path / "board.yaml", "--force")

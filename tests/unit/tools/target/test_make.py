@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from support.commands import Cli
 
 from trigpoint.cli import run
 from trigpoint.map.network import load_network
@@ -28,15 +29,6 @@ def made(folder: Path, *words: str) -> Target:
     file = folder / "target.toml"
     assert run(["target", "make", *words, "--out", str(file)]) == 0
     return load_target(file)
-
-
-def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
-    """The one line on standard error of a command that ends with status 2 and writes nothing."""
-    assert run(["target", "make", *words]) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert captured.err.count("\n") == 1
-    return captured.err
 
 
 def normal(face: Face) -> np.ndarray:
@@ -110,15 +102,16 @@ def test_chosen_sides_are_in_the_order_given(tmp_path: Path) -> None:
 @pytest.mark.parametrize("body", [["--box", "0.3x0.3"], ["--planes"], ["--board"]])
 @pytest.mark.parametrize("sheet", ["A4", "A3"])
 def test_what_is_written_passes_the_check_and_fits_on_its_paper(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], body: list[str], pattern: str, sheet: str
+    tmp_path: Path, cli: Cli, body: list[str], pattern: str, sheet: str
 ) -> None:
-    target = made(tmp_path, *body, "--pattern", pattern, "--sheet", sheet)
-    pages = [line for line in capsys.readouterr().out.splitlines() if line.startswith("  page")]
+    file = tmp_path / "target.toml"
+    words = [*body, "--pattern", pattern, "--sheet", sheet, "--out", file]
+    said = cli("target", "make", *words).out.splitlines()
+    target, pages = load_target(file), [line for line in said if line.startswith("  page")]
     assert len(pages) == len(target.faces)
     assert all(f", {sheet} " in line or ", A4 " in line for line in pages)
     assert (tmp_path / "target.pdf").read_bytes().count(b"/Type /Page\n") == len(target.faces)
-    assert run(["target", "check", "--json", str(tmp_path / "target.toml")]) == 0
-    found = json.loads(capsys.readouterr().out)
+    found = json.loads(cli("target", "check", "--json", file).out)
     assert found["problems"] == []
     assert not any("both ends" in note for note in found["notes"])
 
@@ -139,19 +132,18 @@ def test_dictionary_is_the_smallest_with_a_marker_for_every_square(tmp_path: Pat
     assert [face.first_marker for face in large.faces] == [0, 32, 64, 96, 128, 160]
 
 
-def test_file_that_exists_is_kept_unless_forced(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_file_that_exists_is_kept_unless_forced(tmp_path: Path, cli: Cli) -> None:
     file, pdf = tmp_path / "target.toml", tmp_path / "target.pdf"
     pdf.write_text("mine")
-    assert f"{pdf} exists already; add --force" in refused(
-        capsys, "--box", "0.3x0.3", "--out", str(file)
+    assert f"{pdf} exists already; add --force" in cli.refused(
+        "target", "make", "--box", "0.3x0.3", "--out", str(file)
     )
     assert not file.exists()
     assert made(tmp_path, "--board", "--force").name == "board"
     before = file.read_bytes()
-    capsys.readouterr()
-    assert f"{file} exists already" in refused(capsys, "--box", "0.3x0.3", "--out", str(file))
+    assert f"{file} exists already" in cli.refused(
+        "target", "make", "--box", "0.3x0.3", "--out", str(file)
+    )
     assert file.read_bytes() == before
 
 
@@ -177,9 +169,11 @@ def test_file_that_exists_is_kept_unless_forced(
     ],
 )
 def test_what_cannot_be_made_is_one_clear_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], message: str
+    tmp_path: Path, cli: Cli, words: list[str], message: str
 ) -> None:
-    assert message in refused(capsys, *words, "--out", str(tmp_path / "x" / "target.toml"))
+    assert message in cli.refused(
+        "target", "make", *words, "--out", str(tmp_path / "x" / "target.toml")
+    )
     assert not (tmp_path / "x").exists()
 
 
@@ -193,7 +187,7 @@ def test_cameras_pictures_show_the_box_as_its_file_says(
     tmp_path: Path,
     made_box: Target,
     monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    cli: Cli,
 ) -> None:
     monkeypatch.setattr(world_module, "target_of", lambda _: made_box)
     world = load_world("lab", seed=3)
@@ -201,11 +195,9 @@ def test_cameras_pictures_show_the_box_as_its_file_says(
     for number, t_s in enumerate(times_s):
         cv2.imwrite(str(tmp_path / f"{number:03d}.png"), renderer.picture_at(float(t_s)))
     pictures = sorted(map(str, tmp_path.glob("*.png")))
-    capsys.readouterr()
-    words = ["detect", *pictures, "--target", str(tmp_path / "target.toml"), "--json"]
-    assert run(words) == 0
+    said = cli("detect", *pictures, "--target", tmp_path / "target.toml", "--json").out
     errors, faces = [], set()
-    for t_s, line in zip(times_s, capsys.readouterr().out.splitlines(), strict=True):
+    for t_s, line in zip(times_s, said.splitlines(), strict=True):
         truth = {seen.face.id: seen for seen in world.seen("c2", "r1", float(t_s))}
         for found in json.loads(line)["faces"]:
             seen = truth[found["face"]]

@@ -8,16 +8,15 @@ from msgspec.structs import replace
 from trigpoint.edge.detector import detector_for
 from trigpoint.edge.registration.dictionaries import predefined_dictionary
 from trigpoint.geometry.rotation import Array
-from trigpoint.site.target import Face, Numbering, Pattern, Target
+from trigpoint.site.target import NOWHERE, Face, Numbering, Pattern, Target
 from trigpoint.tools.target.pattern import black_rectangles
 
 PIXELS_PER_METRE = 1600.0
 MARGIN_PX = 60
-HERE = {"translation": (0.0, 0.0, 0.0), "quaternion": (0.0, 0.0, 0.0, 1.0)}
 
 
 def face(pattern: Pattern, columns: int, rows: int, square: float, **more: object) -> Face:
-    return Face(0, pattern, columns, rows, square, **HERE, **more)  # pyright: ignore[reportArgumentType] - the keys are the test's own
+    return Face(0, pattern, columns, rows, square, *NOWHERE, **more)  # pyright: ignore[reportArgumentType] - the keys are the test's own
 
 
 FACES = {

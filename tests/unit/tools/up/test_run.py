@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from support.builders import eventually
 
-from trigpoint.base.errors import InputError, OperationError
+from trigpoint.base.errors import OperationError
 from trigpoint.tools.parts.supervisor import PartSpec
 from trigpoint.tools.up.run import run_parts
 
@@ -101,30 +101,10 @@ def test_a_stop_ends_all_in_the_order_of_their_ranks(number: signal.Signals) -> 
     assert not any(map(is_alive, log.numbers))
 
 
-def test_part_that_dies_is_said_and_started_again() -> None:
-    log = Told()
-    log._reactions += [
-        (said(2), lambda: os.kill(log.numbers[0], signal.SIGKILL)),
-        (said(3), signalled(signal.SIGTERM)),
-    ]
-    run_parts([spec("a", SLEEPS), spec("b", SLEEPS)], log)
-    assert any("was ended by SIGKILL; it is started again" in line for line in log.lines)
-    assert len(log.numbers) == 3
-    assert not any(map(is_alive, log.numbers))
-
-
 def test_part_that_does_not_stay_alive_ends_all() -> None:
     log = Told()
     with pytest.raises(OperationError, match="b ended with status 1: on fire, 6 times"):
         run_parts([spec("a", SLEEPS), spec("b", "import sys; sys.exit('on fire')")], log)
-    assert not any(map(is_alive, log.numbers))
-
-
-def test_part_that_refuses_its_files_ends_all_at_once() -> None:
-    code = "import sys; print('site.toml:3: what is this'); sys.exit(2)"
-    log = Told()
-    with pytest.raises(InputError, match=r"b ended with status 2: site\.toml:3: what is this"):
-        run_parts([spec("a", SLEEPS), spec("b", code)], log)
     assert not any(map(is_alive, log.numbers))
 
 

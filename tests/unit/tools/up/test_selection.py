@@ -7,7 +7,7 @@ import pytest
 
 from trigpoint.base.errors import ConfigError, InputError
 from trigpoint.site.config import Site, parse_site
-from trigpoint.tools.up.parts import parts_of
+from trigpoint.tools.up.command import parts_of
 from trigpoint.tools.up.selection import Choice, Selection, selected
 
 SITE = """
@@ -58,6 +58,11 @@ def test_machine_that_connects_elsewhere_has_its_devices_alone() -> None:
     assert not (found.has_recorder)
     assert not (found.has_board)
     assert "fusion fusion: it runs where tcp/10.0.0.1:7447 is" in found.left_out
+
+
+def test_camera_may_be_said_by_its_number() -> None:
+    text = 'site = "hall"\n[cameras.c1]\nsource = "v4l2://0"\n'
+    assert chosen(parse_site(text, directory=Path("/site")), HERE).cameras == ("c1",)
 
 
 def test_loopback_is_not_elsewhere() -> None:

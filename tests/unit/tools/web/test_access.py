@@ -56,50 +56,54 @@ def certificate(folder: Path) -> tuple[Path, Path]:
     return paths
 
 
+def checked(
+    host: str = "127.0.0.1",
+    *,
+    token: Path | None = None,
+    certificate: Path | None = None,
+    key: Path | None = None,
+) -> Access:
+    return checked_access(host, names=(), token=token, certificate=certificate, key=key)
+
+
 @pytest.mark.parametrize("host", ["0.0.0.0", "192.168.1.5", "::", "board.example.com"])
 def test_beyond_this_machine_it_is_encrypted_and_has_a_login(host: str, tmp_path: Path) -> None:
     pem, key = certificate(tmp_path)
     token = token_file(tmp_path)
-    for given in (
-        {"token": None, "certificate": None, "key": None},
-        {"token": token, "certificate": None, "key": None},
-        {"token": None, "certificate": pem, "key": key},
-    ):
+    for given in ({}, {"token": token}, {"certificate": pem, "key": key}):
         with pytest.raises(InputError, match="encrypted and has a login"):
-            checked_access(host, names=(), **given)
-    assert checked_access(host, names=(), token=token, certificate=pem, key=key).token == TOKEN
+            checked(host, **given)
+    assert checked(host, token=token, certificate=pem, key=key).token == TOKEN
 
 
 def test_on_this_machine_nothing_is_needed() -> None:
     for host in ("127.0.0.1", "localhost", "::1"):
-        assert checked_access(host, names=(), token=None, certificate=None, key=None).token == ""
+        assert checked(host).token == ""
 
 
 def test_a_secret_that_others_can_read_is_none(tmp_path: Path) -> None:
     token = token_file(tmp_path, mode=0o640)
     with pytest.raises(InputError, match="chmod 600"):
-        checked_access("127.0.0.1", names=(), token=token, certificate=None, key=None)
+        checked(token=token)
     pem, key = certificate(tmp_path)
     key.chmod(0o644)
     with pytest.raises(InputError, match="chmod 600"):
-        checked_access("127.0.0.1", names=(), token=None, certificate=pem, key=key)
+        checked(certificate=pem, key=key)
 
 
 def test_a_token_that_can_be_guessed_is_refused(tmp_path: Path) -> None:
     for text in ("", "secret"):
         token = token_file(tmp_path, text)
         with pytest.raises(InputError, match="openssl rand"):
-            checked_access("127.0.0.1", names=(), token=token, certificate=None, key=None)
+            checked(token=token)
 
 
 def test_a_certificate_goes_with_its_key(tmp_path: Path) -> None:
     pem, key = certificate(tmp_path)
     with pytest.raises(InputError, match="give both"):
-        checked_access("127.0.0.1", names=(), token=None, certificate=pem, key=None)
+        checked(certificate=pem)
     with pytest.raises(InputError, match="no such file"):
-        checked_access(
-            "127.0.0.1", names=(), token=None, certificate=tmp_path / "none.pem", key=key
-        )
+        checked(certificate=tmp_path / "none.pem", key=key)
 
 
 def test_a_key_of_another_certificate_is_said(
@@ -108,7 +112,7 @@ def test_a_key_of_another_certificate_is_said(
     (tmp_path / "other").mkdir()
     pem, _ = certificate(tmp_path)
     _, key = certificate(tmp_path / "other")
-    access = checked_access("127.0.0.1", names=(), token=None, certificate=pem, key=key)
+    access = checked(certificate=pem, key=key)
     with (
         pytest.raises(InputError, match="belong together"),
         served_board(make_site(), monkeypatch, access=access),
@@ -201,7 +205,7 @@ def test_a_login_is_asked_for_and_lasts(monkeypatch: pytest.MonkeyPatch) -> None
 def test_it_is_served_by_tls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pem, key = certificate(tmp_path)
     token = token_file(tmp_path)
-    access = checked_access("127.0.0.1", names=(), token=token, certificate=pem, key=key)
+    access = checked(token=token, certificate=pem, key=key)
     with served_board(make_site(), monkeypatch, access=access) as desk:
         assert desk.address.startswith("https://")
         answer = desk.ask("/login")

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from support.builders import site_text
+from support.fusion.networks import located
 
 from trigpoint.base.errors import ConfigError
 from trigpoint.geometry import Pose
@@ -18,7 +19,6 @@ from trigpoint.map.building import (
     save_building,
 )
 from trigpoint.map.network import (
-    CameraRecord,
     Network,
     PoseRecord,
     RobotRecord,
@@ -48,11 +48,7 @@ def surveyed(*, sigma: float = 0.01) -> str:
 
 def network(joint: np.ndarray, places: np.ndarray = PLACES) -> Network:
     cameras = {
-        f"c{i + 1}": CameraRecord(
-            "located",
-            map_from_camera=PoseRecord.of(Pose.from_vector([*place, 0.1, 1.5, 0.2])),
-            covariance=tuple(joint[6 * i : 6 * i + 6, 6 * i : 6 * i + 6].reshape(-1).tolist()),
-        )
+        f"c{i + 1}": located(Pose.from_vector([*place, 0.1, 1.5, 0.2]), joint, i)
         for i, place in enumerate(places)
     }
     robot = RobotRecord("r1.tum", 1.0, 1.0, PoseRecord.of(Pose.identity()), TargetRecord(()))

@@ -9,12 +9,11 @@ import numpy as np
 from trigpoint.base.clock import to_ns
 from trigpoint.contract.messages import Message, Odometry, Sightings
 from trigpoint.geometry import CameraModel, Pose
+from trigpoint.tools.simulation.session import EPOCH_NS
+from trigpoint.tools.simulation.sight.seen_corners import SeenFace, may_be_seen
+from trigpoint.tools.simulation.world import Shown, World
 
-from .disturbance import Disturbance, disturbed, with_ways
-from .session import EPOCH_NS
-from .sight.seen_corners import SeenFace, may_be_seen
-from .world import World
-from .wrong_sightings import Labelled, labelled
+from .disturbance import Disturbance, disturbed, disturbed_sighting, with_ways
 
 Views = dict[str, list[tuple[float, dict[str, list[SeenFace]]]]]
 """Of each camera: the times of its pictures and the faces of each robot in them, without noise."""
@@ -28,7 +27,7 @@ class Truth:
     """
 
     world: World
-    sighted: dict[tuple[str, int], tuple[Labelled, ...]] = field(default_factory=dict)
+    sighted: dict[tuple[str, int], tuple[Shown, ...]] = field(default_factory=dict)
 
     @property
     def start_ns(self) -> int:
@@ -46,11 +45,9 @@ class Truth:
         return {name: camera.model for name, camera in self.world.cameras.items()}
 
     def moved_ns(self, camera: str) -> list[int]:
-        """When a camera was moved."""
         return [EPOCH_NS + to_ns(move.at_s) for move in self.world.cameras[camera].moves]
 
     def lifted_ns(self, robot: str) -> list[int]:
-        """When a robot was lifted."""
         return [EPOCH_NS + to_ns(lift.at_s) for lift in self.world.robots[robot].lifts]
 
     def map_from_base(self, robot: str, stamps_ns: np.ndarray) -> Pose:
@@ -123,11 +120,11 @@ def _sightings(
 ) -> Iterator[tuple[Sightings, int]]:
     """The messages of a camera that have a sighting, and how late each one is."""
     world, eye = truth.world, truth.world.cameras[camera]
-    taken: list[tuple[float, tuple[Labelled, ...]]] = []
+    taken: list[tuple[float, tuple[Shown, ...]]] = []
     for t_s, seen in views:
         random = world.random("wrong sightings", camera, round(t_s * 1e6))
         faces = tuple(
-            labelled(shown, world.target(shown.robot), disturbance, random)
+            disturbed_sighting(shown, world.target(shown.robot), disturbance, random)
             for shown in world.shown(camera, t_s, seen)
         )
         if faces:
@@ -149,8 +146,8 @@ def _sightings(
 
 
 def _best(
-    taken: list[tuple[float, tuple[Labelled, ...]]], most: int
-) -> list[tuple[float, tuple[Labelled, ...]]]:
+    taken: list[tuple[float, tuple[Shown, ...]]], most: int
+) -> list[tuple[float, tuple[Shown, ...]]]:
     """The pictures with the most corners, at most so many, in order of time."""
     counts = [-sum(len(face.sighting.corners) for face in faces) for _, faces in taken]
     chosen = sorted(np.argsort(counts, kind="stable")[:most].tolist())

@@ -5,10 +5,10 @@ from collections import Counter
 import numpy as np
 import pytest
 
+from benchmarks.study.disturbance import Disturbance, LensSpread, disturbed, with_ways
+from benchmarks.study.in_memory import Simulated, simulated
 from trigpoint.contract.messages import Odometry, Sightings
 from trigpoint.site.config import OdometryNoise
-from trigpoint.tools.simulation.disturbance import Disturbance, LensSpread, disturbed, with_ways
-from trigpoint.tools.simulation.in_memory import Simulated, simulated
 from trigpoint.tools.simulation.motion.actors import Lift, Move
 from trigpoint.tools.simulation.motion.way import scattered
 from trigpoint.tools.simulation.world import World, load_world
