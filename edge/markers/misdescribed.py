@@ -1,4 +1,4 @@
-"""Boards with markers that the target file describes as others: what they are, and what to write.
+"""Boards with markers that the target file describes as others: what they are.
 
 Only markers decide: those that are surely read and agree on one place of a board. Of a small
 dictionary some are read in anything, so they must be more than chance gives, most of what is in

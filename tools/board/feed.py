@@ -20,7 +20,6 @@ class Feed(Pages):
         super().__init__(most=MOST_PAGES, waiting=MOST_WAITING)
         self._shown: Entities = {}
         self._said_s = self.now_s = 0.0
-        self.dropped = 0
 
     def update(self, now: Mapping[str, Fields | None], t: float) -> Change:
         """Take these entities' state now, and send what is different; returns it."""
@@ -31,7 +30,7 @@ class Feed(Pages):
             if change.is_empty and t - self._said_s < QUIET_S:
                 return change
             self._said_s = t
-            self.dropped += self.offer(event(change))
+            self.offer(event(change))
         return change
 
     def join(self, ways: dict[str, list[float]]) -> Page:

@@ -92,18 +92,27 @@ class EventStream(Response):
         gone.add_done_callback(lambda _: self._page.end())
         start = {"type": "http.response.start", "status": 200, "headers": self.raw_headers}
         end = {"type": "http.response.body", "body": b"", "more_body": False}
+        is_slow = False
+
+        async def put(body: Message) -> None:
+            nonlocal is_slow
+            try:
+                await asyncio.wait_for(send(body), SEND_S)
+            except TimeoutError:
+                is_slow = True
+                raise
+
         try:
             with suppress(TimeoutError):  # without its end the server hangs up
                 async with asyncio.timeout(DAY_S):
                     await send(start)
                     async for data in self._messages():
-                        body = {"type": "http.response.body", "body": data, "more_body": True}
-                        await asyncio.wait_for(send(body), SEND_S)
+                        await put({"type": "http.response.body", "body": data, "more_body": True})
                     if not gone.done():
-                        await asyncio.wait_for(send(end), SEND_S)
+                        await put(end)
         finally:
             gone.cancel()
-            self._pages.leave(self._page)
+            self._pages.leave(self._page, is_slow=is_slow)
 
     async def _messages(self) -> AsyncIterator[bytes]:
         yield self._pack(b"retry: 1000\n\n")

@@ -62,13 +62,15 @@ class Page:
 
 
 class Pages:
-    """All of them, `most` at most, with so many messages `waiting` for each. Any thread."""
+    """All of them, `most` at most, with so many messages `waiting` for each; `dropped`: how many
+    did not read. Any thread."""
 
     def __init__(self, *, most: int, waiting: int) -> None:
         self._most, self._most_waiting = most, waiting
         self._lock = threading.RLock()
         self._pages: set[Page] = set()
         self._is_closed = False
+        self.dropped = 0
 
     @property
     def pages(self) -> int:
@@ -84,15 +86,17 @@ class Pages:
             self._pages.add(page)
         return page
 
-    def offer(self, message: bytes) -> int:
-        """Queue a message for every page; returns how many of them did not read and are dropped."""
+    def offer(self, message: bytes) -> None:
+        """Queue a message for every page; those that have too many already are dropped."""
         with self._lock:
             slow = {page for page in self._pages if not page.offer(message)}
             self._pages -= slow
-        return len(slow)
+            self.dropped += len(slow)
 
-    def leave(self, page: Page) -> None:
+    def leave(self, page: Page, *, is_slow: bool = False) -> None:
+        """Forget a page that is gone; `is_slow`: since it did not take what it was sent."""
         with self._lock:
+            self.dropped += is_slow and page in self._pages
             self._pages.discard(page)
 
     def close(self) -> None:

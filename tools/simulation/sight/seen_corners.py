@@ -93,7 +93,7 @@ def seen_faces_each(
         moments = near[in_front]
         corners = map_from_face[in_front] @ face.corners
         points = camera_from_map @ corners
-        seen = _well_inside(model, points)
+        seen = model.sees(points, margin_px=PICTURE_MARGIN_PX)
         if np.any(seen):
             seen &= ~hidden_by_walls(eye, corners.reshape(-1, 3), walls).reshape(seen.shape)
             seen &= ~_hidden_by_faces(eye, corners, target, map_from_base[moments], own=face)
@@ -148,15 +148,6 @@ def _shows_front(map_from_face: Pose, middle: Array, eye: Array) -> np.ndarray:
     sight = eye - (map_from_face.rotation @ middle + map_from_face.translation)
     into = map_from_face.rotation[..., 2]
     return -np.sum(into * sight, axis=-1) > STEEPEST_COSINE * np.linalg.norm(sight, axis=-1)
-
-
-def _well_inside(model: CameraModel, points: Array) -> np.ndarray:
-    """Which points (…, 3) of the optical frame lie in the picture, off its edge; (…) bool."""
-    inside = model.sees(points)
-    u, v = np.moveaxis(model.project(np.where(inside[..., None], points, [0.0, 0.0, 1.0])), -1, 0)
-    margin = PICTURE_MARGIN_PX
-    inside &= (u > margin) & (u < model.width - 1 - margin)
-    return inside & (v > margin) & (v < model.height - 1 - margin)
 
 
 def smallest_square(face: Face, pixels: Array) -> float:
