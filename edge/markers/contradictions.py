@@ -67,7 +67,9 @@ def contradictions(
     # A place is seen as several quadrilaterals: what agrees there settles it.
     settled = np.isin(which, which[agrees])
     elsewhere = ~settled & (scores.max(axis=1) > _SURELY)
-    foreign = ~settled & ~elsewhere & (numbers >= 0) & (own < _HARDLY) & scores.any(axis=1)
+    # Where not one of its markers is surely read, what is not probably its own is none of it.
+    least = _HARDLY if np.any(own > _SURELY) else _PROBABLY
+    foreign = ~settled & ~elsewhere & (numbers >= 0) & (own < least) & scores.any(axis=1)
     return Contradictions(*(len(set(which[is_so])) for is_so in (agrees, elsewhere, foreign)))
 
 

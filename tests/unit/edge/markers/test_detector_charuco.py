@@ -114,6 +114,25 @@ def test_board_of_other_markers_is_not_ours() -> None:
     assert detector_for([target_of(charuco())]).detect(picture) == ()
 
 
+@pytest.mark.parametrize(
+    ("printed", "said"),
+    [
+        ("DICT_5X5_50", "DICT_4X4_50"),
+        ("DICT_5X5_1000", "DICT_4X4_50"),
+        ("DICT_6X6_250", "DICT_4X4_50"),
+        ("DICT_4X4_50", "DICT_5X5_50"),
+        ("DICT_ARUCO_ORIGINAL", "DICT_4X4_100"),
+    ],
+)
+def test_markers_of_another_dictionary_are_not_ours_though_some_read_alike(
+    printed: str, said: str
+) -> None:
+    true, ours = (msgspec.structs.replace(charuco(), dictionary=name) for name in (printed, said))
+    for seed in range(6):
+        view = placed(true, x=0.05 * seed - 0.1, distance=0.5 + 0.1 * seed, tilt_deg=9 * seed - 20)
+        assert detector_for([target_of(ours)]).detect(picture_of([view], seed=seed)) == ()
+
+
 def test_small_markers_are_read_that_opencv_gives_up() -> None:
     board = charuco()
     view = placed(board, distance=1.75, tilt_deg=20, yaw_deg=20)
