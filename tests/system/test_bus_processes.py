@@ -193,11 +193,11 @@ def test_peers_find_each_other_again_when_their_meeting_point_was_killed(
     one, other = stack.enter_context(open_bus(site)), stack.enter_context(open_bus(site))
     # A session that is only closed may come back to peers that were about to connect to it.
     meeting_point = start(stack, MEETING_POINT, endpoint)
-    assert eventually(lambda: len(one.peers) == 2 and len(other.peers) == 2, timeout_s=20.0)
+    assert eventually(lambda: len(one.peers) == 2 and len(other.peers) == 2)
     meeting_point.kill()
     assert eventually(lambda: len(one.peers) == 1 and len(other.peers) == 1)
     start(stack, MEETING_POINT, endpoint)
-    assert eventually(lambda: len(one.peers) == 2 and len(other.peers) == 2, timeout_s=20.0)
+    assert eventually(lambda: len(one.peers) == 2 and len(other.peers) == 2)
 
 
 def heard(sender: Bus, receiver: Bus) -> bool:
