@@ -94,7 +94,7 @@ def manager(tmp_path: Path) -> Iterator[socket.socket]:
         yield receiver
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def free_port() -> Callable[[], int]:
     """Ports of the loopback interface that nobody uses now; none of those that the system gives to
     connections, any of which may have it before who asked for it here."""

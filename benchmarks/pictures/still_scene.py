@@ -158,9 +158,11 @@ class StillScene:
         """A drop is a small lens, out of focus: it shows what is about it upside down."""
         across, down = self._columns.copy(), self._rows.copy()
         for x, y, radius in drops * self.width:
-            inside = np.hypot(self._columns - x, self._rows - y) < radius
-            across[inside] = x - 3 * (across[inside] - x)
-            down[inside] = y - 3 * (down[inside] - y)
+            least_x, least_y = (max(0, int(value - radius)) for value in (x, y))
+            about = np.s_[least_y : int(y + radius) + 2, least_x : int(x + radius) + 2]
+            inside = np.hypot(self._columns[about] - x, self._rows[about] - y) < radius
+            across[about][inside] = x - 3 * (across[about][inside] - x)
+            down[about][inside] = y - 3 * (down[about][inside] - y)
         return cv2.remap(seen, across, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
 
 

@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
-from pathlib import Path
 
 import pytest
 import zenoh
@@ -103,21 +102,24 @@ PEOPLE = tuple((kind, name) for kind, name in NODES if kind is not Kind.ROUTER)
 _SETTLE_S = 0.4
 """What is wrongly let through comes within a millisecond; it is waited for this long."""
 _ANSWER_S = 1.5
-_PATIENCE_S = 20.0
+_PATIENCE_S = 60.0
 
 
 @pytest.fixture(
+    scope="module",
     params=[
         *("gate, tls", "router, tls", "router, quic"),
         *(pytest.param(f"zenohd, {p}", marks=needs_zenohd) for p in ("tls", "quic")),
-    ]
+    ],
 )
 def sessions(
-    tmp_path: Path, free_port: Callable[[], int], request: pytest.FixtureRequest
+    tmp_path_factory: pytest.TempPathFactory,
+    free_port: Callable[[], int],
+    request: pytest.FixtureRequest,
 ) -> Iterator[tuple[zenoh.Session, dict[Kind, zenoh.Session]]]:
     """A process of the machine that listens, which may do all, and a client of every kind."""
     door, protocol = request.param.split(", ")
-    secured = SecuredSite(tmp_path, free_port(), protocol=protocol)
+    secured = SecuredSite(tmp_path_factory.mktemp("site"), free_port(), protocol=protocol)
     with ExitStack() as stack:
         if door == "router":
             stack.enter_context(open_router(secured.listening))

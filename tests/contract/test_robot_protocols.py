@@ -120,7 +120,7 @@ def test_sound_bytes_are_readings_however_they_are_cut(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", list(CHECKED))
-@settings(max_examples=60)
+@settings(max_examples=40)
 @given(data=st.data())
 def test_damaged_bytes_cost_one_or_two_readings_and_make_up_none(
     name: str, data: st.DataObject
@@ -181,7 +181,7 @@ def heard(
 
 
 @pytest.mark.parametrize("name", ["trigpoint", "mavlink"])
-@settings(max_examples=200)
+@settings(max_examples=75)
 @given(stream=STREAMS)
 def test_damaged_stream_has_no_reading_that_was_not_sent(name: str, stream: Stream) -> None:
     for reading in heard(name, CHECKED[name](), stream, WHEELS)[1]:
@@ -202,7 +202,7 @@ def create2_counts(data: bytes) -> set[tuple[int, int]]:
     }
 
 
-@settings(max_examples=200)
+@settings(max_examples=75)
 @given(stream=STREAMS)
 def test_damaged_counters_lead_from_sound_counts_to_sound_counts(stream: Stream) -> None:
     wheels = WheelConfig(DIAMETER_M, TRACK_M, TICKS)
@@ -219,7 +219,7 @@ def test_damaged_counters_lead_from_sound_counts_to_sound_counts(stream: Stream)
         assert reached
 
 
-@settings(max_examples=200)
+@settings(max_examples=75)
 @given(stream=STREAMS)
 def test_damaged_lines_without_a_check_are_read_or_left_out(stream: Stream) -> None:
     for reading in heard("ros_arduino_bridge", arduino_bytes(), stream, WHEELS)[1]:

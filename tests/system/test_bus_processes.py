@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 
 from support.builders import eventually, make_site
@@ -185,11 +186,11 @@ def test_peers_find_each_other_again_when_their_meeting_point_was_killed(
     one, other = stack.enter_context(open_bus(site)), stack.enter_context(open_bus(site))
     # A session that is only closed may come back to peers that were about to connect to it.
     meeting_point = start(stack, MEETING_POINT, endpoint)
-    assert eventually(lambda: len(one.peers) == 2 and len(other.peers) == 2, timeout_s=20.0)
+    assert eventually(lambda: len(one.peers) == 2 and len(other.peers) == 2)
     meeting_point.kill()
     assert eventually(lambda: len(one.peers) == 1 and len(other.peers) == 1)
     start(stack, MEETING_POINT, endpoint)
-    assert eventually(lambda: len(one.peers) == 2 and len(other.peers) == 2, timeout_s=20.0)
+    assert eventually(lambda: len(one.peers) == 2 and len(other.peers) == 2)
 
 
 def heard(sender: Bus, receiver: Bus) -> bool:
@@ -250,8 +251,10 @@ def test_who_comes_back_gets_all_that_every_camera_kept(
         for number in range(300):
             publisher.put(f"{name} {number:03}".encode() + bytes(700))
     expected = {f"{name} {number:03}" for name in names for number in range(300)}
-    for _ in range(25):  # one time in five the beginning was missing
-        payloads = kept_for_who_comes(site, len(expected))
+    # One time in five the beginning was missing. Who comes mostly waits.
+    with ThreadPoolExecutor(5) as pool:
+        came = list(pool.map(lambda _: kept_for_who_comes(site, len(expected)), range(25)))
+    for payloads in came:
         assert set(payloads) == expected
         for name in names:
             own = [payload for payload in payloads if payload.startswith(name)]
@@ -262,6 +265,6 @@ def kept_for_who_comes(site: Site, count: int) -> list[str]:
     """What a new session gets of sightings that were sent before, without their padding."""
     with open_bus(site) as bus:
         subscription = bus.subscribe(SIGHTINGS, SIGHTINGS.expression("lab"))
-        assert eventually(lambda: subscription.received >= count, 20.0), subscription.received
+        assert eventually(lambda: subscription.received >= count), subscription.received
         came = [subscription.take(0.0) for _ in range(subscription.received)]
         return [sample.payload[:-700].decode() for sample in came if sample is not None]

@@ -15,6 +15,7 @@ from support.builders import eventually
 from trigpoint.map.network import load_network
 from trigpoint.recorder.session.recording import open_recording
 from trigpoint.tools.demo.folder import DemoFolder
+from trigpoint.tools.demo.run import leads_s
 
 pytestmark = pytest.mark.timeout(400)
 
@@ -73,6 +74,11 @@ def is_alive(number: int) -> bool:
     except ProcessLookupError:
         return False
     return True
+
+
+def test_busy_machine_is_given_more_time_at_once():
+    assert leads_s(0.3, 2) == (6.0, 20.0, 60.0)
+    assert leads_s(4.0, 2) == (12.0, 40.0, 60.0)
 
 
 def test_short_demo_finds_the_cameras_that_it_meets_and_leaves_its_files(start):

@@ -85,12 +85,12 @@ def test_real_video_arrives_as_sightings_in_another_process(tmp_path: Path, free
         lens = bus.subscribe(CAMERA_INFO, CAMERA_INFO.key("lab", "c1"))
         with agent(tmp_path, "--camera", "c1") as process:
             stamps, corners = [], 0
-            while corners < 12 and (message := taken(ears, 30.0)) is not None:
+            while corners < 12 and (message := taken(ears, 60.0)) is not None:
                 assert isinstance(message, Sightings)
                 assert (message.width, message.height) == (1280, 720)
                 stamps.append(message.stamp_ns)
                 corners += sum(len(face.corners) for face in message.faces)
-            info = taken(lens, 5.0)
+            info = taken(lens, 60.0)
             process.send_signal(signal.SIGTERM)
             assert process.wait(60) == 0
     assert corners >= 12

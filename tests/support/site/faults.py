@@ -88,14 +88,17 @@ class Fire:
             "a subscriber that is stopped": self.stopped_subscriber,
         }
 
-    def start(self, seconds: float) -> None:
-        """Begin; every attack comes at least once within the time."""
-        self._thread = threading.Thread(target=self._run, args=(seconds,), name="fire")
+    def start(self) -> None:
+        """Begin; every attack comes again and again, until it is closed."""
+        self._thread = threading.Thread(target=self._run, name="fire")
         self._thread.start()
 
-    def _run(self, seconds: float) -> None:
-        until_s = time.monotonic() + seconds
-        while not self._stopping.is_set() and time.monotonic() < until_s:
+    def is_all_done_since(self, before: Counter[str]) -> bool:
+        """Whether every attack came once more."""
+        return all(self.done[name] > before[name] for name in self.attacks)
+
+    def _run(self) -> None:
+        while not self._stopping.is_set():
             names = list(self.attacks)
             self.draw.shuffle(names)
             for name in names:

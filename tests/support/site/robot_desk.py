@@ -62,7 +62,7 @@ class Desk:
         module = "trigpoint.tools.simulation.serial.firmware"
         process = subprocess.Popen([sys.executable, "-m", module, *words, *more])
         self._stack.callback(end, process)
-        assert eventually(lambda: self.port.exists(), 30.0)
+        assert eventually(lambda: self.port.exists())
         return process
 
     @contextmanager
@@ -76,7 +76,7 @@ class Desk:
         """The next messages; fails where they do not come."""
         found = []
         for _ in range(count):
-            sample = self.odometry.take(10.0)
+            sample = self.odometry.take(60.0)
             assert sample is not None, "no odometry came"
             message = decode(ODOMETRY.type_name, sample.payload)
             assert isinstance(message, Odometry)
@@ -109,7 +109,7 @@ class Desk:
                 self.correct(message, map_from_odom @ message.pose)
                 return node.health.total("corrections_accepted") > 0
 
-            assert eventually(is_placed, 20.0)
+            assert eventually(is_placed)
 
     def noted(self, kind: str) -> list[dict]:
         """What the robot wrote down."""
@@ -119,7 +119,7 @@ class Desk:
 
 def end(process: subprocess.Popen[bytes]) -> None:
     process.terminate()
-    process.wait(10.0)
+    process.wait(60.0)
 
 
 @pytest.fixture

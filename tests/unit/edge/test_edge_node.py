@@ -85,9 +85,9 @@ def test_snapshot_is_the_latest_picture(desk: Desk) -> None:
     has_begun, may_end = threading.Event(), threading.Event()
 
     def script() -> Iterator[tuple[int, np.ndarray]]:
-        has_begun.wait(10.0)
+        has_begun.wait(60.0)
         yield 1000, SEEN
-        may_end.wait(10.0)
+        may_end.wait(60.0)
 
     node = desk.start(script=script())
     key = command_key("lab", "camera/c1/snapshot")
@@ -156,7 +156,7 @@ def test_calibration_can_be_asked_for(desk: Desk) -> None:
 
     def script() -> Iterator[tuple[int, np.ndarray]]:
         yield 1000, SEEN
-        may_end.wait(10.0)
+        may_end.wait(60.0)
 
     node = desk.start(script=script())
     assert eventually(lambda: node.health.report().values["calibration_views"] == "1")

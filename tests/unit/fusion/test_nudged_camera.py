@@ -22,7 +22,7 @@ from trigpoint.contract.messages import (
 from trigpoint.contract.nudge import NUDGED, Nudge
 from trigpoint.fusion.pipeline import Inputs, Pipeline
 
-SECONDS, NUDGED_S, TOLD_S = 60.0, 25.2, 27.3
+SECONDS, NUDGED_S, TOLD_S = 50.0, 25.2, 27.3
 TURN = np.array([0.0, 0.0, 0.0, 0.0, np.radians(0.3), 0.0])
 PLANE = [0, 1, 5]
 Messages = Sequence[tuple[str, Message]]

@@ -221,6 +221,6 @@ def test_drawn_minutes_in_which_nothing_is_touched(seed: int) -> None:
     random = np.random.default_rng(seed)
     hour = StillHour(StillScene(room(seed + 20), random), [room(7), room(8)], random)
     watch = BackgroundWatch()
-    for second, picture in enumerate(hour.pictures(300)):
+    for second, picture in enumerate(hour.pictures(200)):
         watch.look(picture, second * SECOND)
     assert watch.count == 0

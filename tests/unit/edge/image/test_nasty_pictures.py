@@ -20,7 +20,6 @@ from trigpoint.edge.registration.appearance import appearances
 from trigpoint.edge.tracker import TargetTracker
 
 TARGET = target_of(checkerboard(), charuco(number=1), aprilgrid(number=2))
-NASTY = dict(nasty_pictures((checkerboard(), charuco(number=1))))
 COSTLY: list[tuple[object, str]] = [
     (grid.GridSearch, "take"),
     (grid.GridSearch, "grids"),
@@ -34,15 +33,22 @@ COSTLY: list[tuple[object, str]] = [
 ]
 
 
+@pytest.fixture(scope="module")
+def nasty() -> dict[str, np.ndarray]:
+    return dict(nasty_pictures((checkerboard(), charuco(number=1))))
+
+
 @pytest.mark.parametrize("number", range(24))
 def test_nothing_is_found_where_nothing_is(number: int) -> None:
     assert detector_for([TARGET]).detect(empty_picture(number)) == ()
 
 
-def test_work_is_bounded_whatever_the_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_work_is_bounded_whatever_the_picture(
+    nasty: dict[str, np.ndarray], monkeypatch: pytest.MonkeyPatch
+) -> None:
     done = counted(monkeypatch, COSTLY)
     detector = detector_for([TARGET])
-    for name, picture in NASTY.items():
+    for name, picture in nasty.items():
         done.clear()
         detector.detect(picture)
         looks = 2  # at the whole size, and at half
@@ -53,12 +59,14 @@ def test_work_is_bounded_whatever_the_picture(monkeypatch: pytest.MonkeyPatch) -
         assert done["_gathered"] <= 2 * marker_groups.MOST_SEEDS, name
 
 
-def test_no_picture_takes_longer_than_its_time(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_picture_takes_longer_than_its_time(
+    nasty: dict[str, np.ndarray], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Where every costly step takes 15 ms; the tracker meets each picture twice, so that what it
     found is followed."""
     clock = ManualClock()
     counted(monkeypatch, COSTLY, lambda: clock.advance(0.015))
-    for name, picture in NASTY.items():
+    for name, picture in nasty.items():
         tracker = TargetTracker([TARGET], budget_s=0.1, clock=clock)
         for stamp_ns in (100_000_000, 200_000_000):
             began_ns = clock.elapsed_ns()
@@ -66,9 +74,9 @@ def test_no_picture_takes_longer_than_its_time(monkeypatch: pytest.MonkeyPatch) 
             assert clock.elapsed_ns() - began_ns <= 100_000_000, name
 
 
-def test_corners_are_no_more_than_the_bound() -> None:
+def test_corners_are_no_more_than_the_bound(nasty: dict[str, np.ndarray]) -> None:
     search = grid.GridSearch()
-    for picture in NASTY.values():
+    for picture in nasty.values():
         assert search.take(picture) <= grid.MOST_CORNERS
         assert sum(map(len, search.grids())) <= grid.MOST_CORNERS
 
@@ -116,6 +124,7 @@ def counted(
 
 
 def test_boards_that_are_left_when_the_time_is_up_are_not_tried(
+    nasty: dict[str, np.ndarray],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     tried: list[object] = []
@@ -126,5 +135,5 @@ def test_boards_that_are_left_when_the_time_is_up_are_not_tried(
 
     monkeypatch.setattr(marked_search, "group_markers", group)
     looks = appearances([target_of(charuco(number=1), charuco(number=2, first=20))])
-    CharucoDetector(looks).locate(NASTY["markers of 24 px"], lambda: bool(tried))
+    CharucoDetector(looks).locate(nasty["markers of 24 px"], lambda: bool(tried))
     assert len(tried) == 1

@@ -199,7 +199,7 @@ def test_driver_that_hangs_is_not_opened_a_second_time() -> None:
     may_return = threading.Event()
 
     def hang() -> Capture:
-        may_return.wait(10.0)
+        may_return.wait(60.0)
         raise FrameError("cam: gone")
 
     source = LiveFrames("cam", hang, clock=SystemClock(), rate=10.0, stamp=arrival_stamp)

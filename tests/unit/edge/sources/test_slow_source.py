@@ -20,7 +20,7 @@ __all__ = ["desk"]  # the fixture
 
 def test_end_of_the_source_ends_the_node(desk: Desk) -> None:
     node = desk.start((1000, EMPTY))
-    assert node.stopping.wait(10.0)
+    assert node.stopping.wait(60.0)
 
 
 def test_frame_that_is_not_newer_is_refused_and_counted(desk: Desk) -> None:
@@ -76,9 +76,9 @@ def test_lost_source_stays_said_until_it_is_back(
 
     def script() -> Iterator[tuple[int, np.ndarray] | Exception]:
         yield FrameError("cam: gone")
-        is_back.wait(10.0)
+        is_back.wait(60.0)
         yield 1000, EMPTY
-        may_end.wait(10.0)
+        may_end.wait(60.0)
 
     node = desk.start(script=script())
     assert eventually(lambda: "cam: gone" in node.health.report().message)
@@ -95,9 +95,9 @@ def test_state_of_the_source_is_in_the_diagnostics(desk: Desk) -> None:
     has_begun, may_end = threading.Event(), threading.Event()
 
     def script() -> Iterator[tuple[int, np.ndarray]]:
-        has_begun.wait(10.0)
+        has_begun.wait(60.0)
         yield 1000, EMPTY
-        may_end.wait(10.0)
+        may_end.wait(60.0)
 
     node = desk.start(script=script())
 
@@ -123,7 +123,7 @@ def test_camera_that_hangs_silences_the_watchdog_and_is_named(
 
     def script() -> Iterator[tuple[int, np.ndarray]]:
         yield 1000, EMPTY
-        may_end.wait(10.0)  # a driver that does not return
+        may_end.wait(60.0)  # a driver that does not return
 
     node = desk.start(script=script())
     assert eventually(lambda: node.watchdog.hung == ("edge/c1 sees",))

@@ -132,7 +132,7 @@ def test_process_that_died_ends_the_node_with_what_to_do(charuco: Session, megab
     os.kill(solver.pid, 9)
     try:
         with pytest.raises(OperationError, match="start fusion again"):
-            assert eventually(lambda: bool(solver.news()), timeout_s=20.0)
+            assert eventually(lambda: bool(solver.news()))
     finally:
         solver.close()
 

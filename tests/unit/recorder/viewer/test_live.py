@@ -78,7 +78,7 @@ def test_a_live_site_is_drawn_like_a_recorded_one(
     with drawing(site_folder, tmp_path / "s.rrd") as (put, node, stream):
         stream.may_take.set()
         put(sent)
-        assert eventually(lambda: is_over(node, len(sent)), timeout_s=20)
+        assert eventually(lambda: is_over(node, len(sent)))
     found = {chunk.entity_path for chunk in RrdReader(tmp_path / "s.rrd").stream()}
     assert {"/map/cameras/c1/frustum", "/map/robots/r1/corrected", "/sigma/cameras/c1"} <= found
 
@@ -177,7 +177,7 @@ def test_a_killed_program_leaves_no_viewer_behind() -> None:
         viewer = psutil.Process(int(program.stdout.readline()))
         program.kill()
     gone = (psutil.STATUS_ZOMBIE, psutil.STATUS_DEAD)
-    assert eventually(lambda: not viewer.is_running() or viewer.status() in gone, timeout_s=20)
+    assert eventually(lambda: not viewer.is_running() or viewer.status() in gone)
 
 
 def test_a_page_that_rerun_does_not_have_is_not_found() -> None:

@@ -166,7 +166,7 @@ def test_what_the_buss_queue_drops_is_told_by_key() -> None:
     def take(_topic: Topic, received: Sample, _message: object) -> None:
         taken.append(received)
         first.set()
-        may_go_on.wait(20)
+        may_go_on.wait(60)
 
     def lose(key: str, count: int) -> None:
         lost[key] += count
@@ -181,7 +181,7 @@ def test_what_the_buss_queue_drops_is_told_by_key() -> None:
         publisher = sender.publisher(SUGGESTION, key)
         payload = cdr.encode(PoseStamped(5, "map", Pose.identity()))
         publisher.put(payload)
-        assert first.wait(20)
+        assert first.wait(60)
         for _ in range(200):
             publisher.put(payload)
         may_go_on.set()

@@ -58,7 +58,7 @@ def test_editors_see_exactly_the_public_names() -> None:
     [
         ("cv2", "tp.detect", "edge"),
         ("mcap", "tp.open_session", "recorder"),
-        ("cv2", "tp.calibrate", "fusion,recorder"),
+        ("mcap", "tp.calibrate", "fusion,recorder"),
     ],
 )
 def test_what_is_not_installed_is_one_line_with_the_command(

@@ -37,7 +37,7 @@ def test_what_is_handed_on_is_not_overtaken_on_its_way() -> None:
 
     def slowly() -> None:
         begun.set()
-        coming.wait(10.0)
+        coming.wait(60.0)
         time.sleep(0.02)
         passed.append(1)
 

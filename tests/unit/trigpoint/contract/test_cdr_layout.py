@@ -117,14 +117,14 @@ def assert_same(one: object, other: object) -> None:
         np.testing.assert_array_equal(face.pixels, same.pixels)
 
 
-@settings(max_examples=300)
+@settings(max_examples=150)
 @given(any_of_them)
 def test_sound_message_is_read_as_by_its_definition(message: Quick) -> None:
     name, payload = type_name(message), encode(message)
     assert_same(by_layout(name, payload), decode_by_definition(name, payload))
 
 
-@settings(max_examples=500)
+@settings(max_examples=150)
 @given(written)
 def test_message_is_written_as_by_its_definition(message: Message) -> None:
     assert quickly_written(message) == encode_by_definition(message)
@@ -135,7 +135,7 @@ def test_stamp_that_no_message_holds_is_left_to_the_definition(stamp_ns: int) ->
     assert quickly_written(PoseStamped(stamp_ns, "", Pose.identity())) is None
 
 
-@settings(max_examples=800)
+@settings(max_examples=200)
 @given(any_of_them, st.data())
 def test_damaged_message_is_refused_or_read_as_by_its_definition(
     message: Quick, data: st.DataObject

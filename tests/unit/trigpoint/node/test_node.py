@@ -28,7 +28,7 @@ def next_status(bus: MemoryBus) -> DiagnosticStatus:
     subscription = bus.subscribe(DIAGNOSTICS, KEY)
     try:
         while True:
-            sample = subscription.take(10.0)
+            sample = subscription.take(60.0)
             assert sample is not None
             message = decode(DIAGNOSTICS.type_name, sample.payload)
             assert isinstance(message, Diagnostics)
@@ -155,7 +155,7 @@ def test_error_in_a_thread_is_raised_at_the_end_where_nobody_waits(bus: MemoryBu
 
     node = make_node(bus).__enter__()
     node.thread("fail", fail)
-    assert node.stopping.wait(10.0)
+    assert node.stopping.wait(60.0)
     with pytest.raises(PortError):
         node.__exit__(None, None, None)
 
@@ -174,7 +174,7 @@ def test_thread_that_does_not_stop_is_named(
     monkeypatch.setattr("trigpoint.node.node.STOP_S", 0.1)
     release = threading.Event()
     with make_node(bus) as node:
-        node.thread("stubborn", lambda: release.wait(10.0))
+        node.thread("stubborn", lambda: release.wait(60.0))
     release.set()
     assert "thread «edge/c1 stubborn» did not stop" in caplog.text
 

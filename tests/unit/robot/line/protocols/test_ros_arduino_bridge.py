@@ -295,6 +295,7 @@ def test_four_counts_are_read_by_their_order(order: str) -> None:
     assert reading.pose.heading == pytest.approx(200 * np.pi * 0.146 / 8384 / 0.2969)
 
 
+@settings(max_examples=20)
 @given(st.integers(-(2**15), 2**16), st.sampled_from([16, None]))
 def test_counters_of_16_bits_wrap_without_a_jump(first: int, bits: int | None) -> None:
     """Stated, or noticed where a step is possible in no other way, which is told once."""
@@ -307,6 +308,7 @@ def test_counters_of_16_bits_wrap_without_a_jump(first: int, bits: int | None) -
     np.testing.assert_allclose(np.diff(xs), 0.5 * ASKED_S, atol=0.001)
 
 
+@settings(max_examples=20)
 @example(7.17, 0.3, 0.0)  # counts that 16 bits would just not hold
 @given(st.floats(0.5, 20.0), st.floats(0.3, 8.0), st.floats(0.0, 0.1))
 def test_board_that_counts_from_zero_goes_on_where_it_was(
@@ -323,6 +325,7 @@ def test_board_that_counts_from_zero_goes_on_where_it_was(
     assert float(last.pose.translation[0]) > 0.2
 
 
+@settings(max_examples=20)
 @given(st.floats(0.5, 20.0), st.floats(0.3, 8.0), st.booleans())
 def test_board_that_was_only_silent_went_on_counting(
     drove_s: float, silent_s: float, stands: bool
