@@ -14,37 +14,34 @@ from typing import Self
 from trigpoint.base.clock import to_seconds
 from trigpoint.fusion.model.odometry import OdometryTrack
 
-# A fifth more than `calibrate` is meant to take: ten seconds and a tenth of the session's length.
-_AT_LEAST = 12e6
-_A_SECOND = 0.12e6
+# A tenth less than `calibrate` is meant to take: ten seconds and a tenth of the session's length.
+_AT_LEAST = 9e6
+_A_SECOND = 0.09e6
 # Where robots look alike, telling them apart may take this share of the budget, and all else as
 # much again.
-ALIKE_SHARE = 5 / 6
+ALIKE_SHARE = 0.6
 # All costs are as measured. Solving a visit: for each step, and for each corner in a step;
 # assembling it and judging what is wrong cost as much as so many more steps.
-_STEP = 1200.0
-_CORNER = 1.2
-_AROUND = 3
-# Solving the graphs of hypotheses: for all those of one layout together, for each of them, and for
-# each of the n³ operations of a dense factor of n unknowns, or each unknown of a sparse one.
-_LAYOUT = 3000.0
-_PLACED = 100.0
-_NUMBER = 0.0004
-_UNKNOWN = 6.0
+_STEP = 150.0
+_CORNER = 0.35
+_AROUND = 4
+# Solving the graphs of hypotheses: for each of them, and for each of its unknowns.
+_PLACED = 300.0
+_UNKNOWN = 5.0
 # Searching starts: for each way to read a single sighting, and for each pair of such ways.
-_WAY = 150.0
-_PAIR = 0.05
+_WAY = 100.0
+_PAIR = 0.02
 # Filtering a visit for wrong sightings, all filters together: for each part, and for each entry of
 # a covariance in it.
 _PART = 120.0
 _FILTERED = 0.6
 # For each view that is judged by itself; and for each view at all, which is read with its visit's
 # mode and used in the final solution.
-_VIEW = 2500.0
+_VIEW = 400.0
 _READ = 300.0
 # The likelihood of noise: for each evaluation over a visit, for each of its steps, and for each of
 # the n² operations of n unknowns that its equations share, a step and an unknown.
-_LIKELIHOOD = 80.0
+_LIKELIHOOD = 50.0
 _LINK = 5.0
 _LEARNT = 0.0004
 
@@ -86,10 +83,9 @@ class Budget:
         """Note the solution of a visit with so many corners in so many steps."""
         self.spent += (steps + _AROUND) * (_STEP + _CORNER * corners)
 
-    def spend_placing(self, *, layouts: int, unknowns: Iterable[int]) -> None:
-        """Note the solution of graphs with so many different layouts; `unknowns`: of each graph."""
-        self.spent += _LAYOUT * layouts
-        self.spent += sum(_PLACED + min(_NUMBER * n**3, _UNKNOWN * n) for n in unknowns)
+    def spend_placing(self, *, unknowns: Iterable[int]) -> None:
+        """Note the solution of graphs with so many `unknowns` each."""
+        self.spent += sum(_PLACED + _UNKNOWN * count for count in unknowns)
 
     def spend_starting(self, *, ways: int, seeds: int) -> None:
         """Note a search for starts: so many ways to read sightings, so many of them seeds."""

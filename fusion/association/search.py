@@ -110,9 +110,7 @@ class Search:
 
     def _minima(self, variants: Sequence[Variant]) -> list[Placed | None]:
         found = self._graphs.placed(variants)
-        layouts = {frozenset((n, tie.place) for n, tie in v.ties.items()) for v in variants}
-        unknowns = [each.layout.size for each in found if each is not None]
-        self.budget.spend_placing(layouts=len(layouts), unknowns=unknowns)
+        self.budget.spend_placing(unknowns=[each.layout.size for each in found if each is not None])
         return found
 
     def scored(self, hypothesis: Hypothesis) -> Hypothesis:

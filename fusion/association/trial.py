@@ -27,6 +27,8 @@ _MOST_STEPS = 12
 # by less, they are off by half of an acceleration times the square of this, some micrometres.
 _MOST_KEPT = 8
 _CLOCK_S = 5e-3
+# A clock that is off by months, or has a drift beyond all measure.
+_DIVERGED = 1e7
 # Of `PROBLEM`: the robot's deviations in pictures; what a round writes, the corners' faces, points
 # and weights.
 _DEVIATIONS, _WRITTEN = 10, (11, 12, 14)
@@ -204,8 +206,10 @@ class Trial:
 
     def round(self, work: Work, *, huber: float = np.inf) -> Ending:
         """Go on by one round; corners beyond `huber` sigmas have a linear cost (Huber)."""
-        pictures = self.pictures
-        if not pictures.does_for(self.tables, self._state[2][0]):
+        pictures, clock = self.pictures, self._state[2][0]
+        if not np.abs(clock).max() < _DIVERGED:
+            return Ending.NOTHING_FITS
+        if not pictures.does_for(self.tables, clock):
             self._begin(self.camera, self.state.robots[pictures.robot])
         tables = self.tables
         if pictures.jitter is not None and pictures.jitter.length > 0:

@@ -105,7 +105,7 @@ def test_usual_session_takes_little_of_what_its_length_allows(came: Came) -> Non
 def test_budget_grows_with_the_session(came: Came) -> None:
     (track,) = came[0].tracks.values()
     longer = Budget.of([track]).allowed - Budget.of([]).allowed
-    assert longer == pytest.approx(0.12e6 * (track.last_ns - track.first_ns) / 1e9)
+    assert longer == pytest.approx(0.09e6 * (track.last_ns - track.first_ns) / 1e9)
 
 
 def test_what_more_explanations_hold_than_are_kept_is_left_open(

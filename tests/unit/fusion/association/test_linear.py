@@ -133,3 +133,10 @@ def test_round_finds_the_view_that_is_displaced_and_the_one_that_is_not(
     rows = system.dense_row + unknowns_of(trial.tables.assembled.problem, camera)[:6]
     known = np.linalg.inv(system.covariance[np.ix_(rows, rows)])
     assert error @ known @ error < Events().sighting_gate
+
+
+@pytest.mark.parametrize("offset_s", [1e12, np.inf, np.nan])
+def test_clock_that_diverges_fits_nothing(offset_s: float) -> None:
+    _, trial = visit(*PAIRS[0])
+    trial._state[2][0, 0] = offset_s
+    assert trial.round(Work.READ | Work.SOLVE) is Ending.NOTHING_FITS
