@@ -245,8 +245,7 @@ class FusionNode:
         if holding.is_to_learn_again:
             with self._lock:
                 self._is_read.clear()
-                holding.hold(None)
-                self._pipeline = self._maker.make(self._holding.fixed, is_live=False)
+                self._pipeline = self._maker.make(holding.hold(None), is_live=False)
             if not self._resume(pulse):
                 return False
             with self._lock:
@@ -277,8 +276,8 @@ class FusionNode:
         results.save(self._out)
         self._open_storage.close()
         self._storage = None
-        holding.hold(fixed)
-        self._pipeline = self._maker.make(self._holding.fixed)
+        self._solution.forget()  # what comes meanwhile is not stored
+        self._pipeline = self._maker.make(holding.hold(fixed))
         self._diagnostics.restart()
         self._announce_again()
         _log.info("the map is fixed, as it is in %s", self._out / "network.json")

@@ -75,6 +75,13 @@ class SolutionFile:
                 reason.strerror,
             )
 
+    def forget(self) -> None:
+        """Remove the file: the map goes on otherwise than from it."""
+        try:
+            self._path.unlink(missing_ok=True)
+        except OSError as reason:
+            _log.warning("%s: not removed (%s)", self._path, reason.strerror)
+
     def load(self, map_id: UUID | None, now_ns: int) -> Solution | None:
         """The last solution of this map, with its cameras as uncertain as they may have crept until
         now; None where there is none, or where it rests on another site file, on other targets or
@@ -127,9 +134,11 @@ class SolutionFile:
 
 def _digest(inputs: Inputs) -> bytes:
     site, known = inputs.site, inputs.known
+    values = [(*what, value) for what, value in sorted(known.values.items())]
     parts = (
         *(site.cameras, site.robots, site.fusion, site.default_target),
-        *(inputs.targets, inputs.lenses, known.poses, known.information, __version__),
+        *(inputs.targets, inputs.lenses, known.poses, known.information, known.until_ns),
+        *(known.faces, values, __version__),
     )
     return hashlib.sha256(msgspec.msgpack.encode(parts, enc_hook=_plain)).digest()
 

@@ -19,7 +19,7 @@ _AT_LEAST = 9e6
 _A_SECOND = 0.09e6
 # Where robots look alike, telling them apart may take this share of the budget, and all else as
 # much again.
-ALIKE_SHARE = 0.6
+ALIKE_SHARE = 0.55
 # All costs are as measured. Solving a visit: for each step, and for each corner in a step;
 # assembling it and judging what is wrong cost as much as so many more steps.
 _STEP = 150.0

@@ -45,8 +45,7 @@ class Memory:
     `budget`: for what is not cached; `modes`: of visits; `alone`: by view and lens, what each view
     says by itself; `lenses`: by camera whose lens is estimated, the lens by its most informative
     visit so far; `shown`: what visits show of the noise, and `noise`: what was learnt from these;
-    `undisputed`: as what cameras' visits are taken where nothing else counts; `trails`: what
-    searches kept on their way.
+    `trails`: what searches kept on their way.
     """
 
     def __init__(
@@ -58,7 +57,6 @@ class Memory:
         self.modes = Kept[VisitModes]()
         self.shown = Kept[Linear]()
         self.noise = Kept[tuple[Noise | None, ...]]()
-        self.undisputed = Kept[bool]()
         self.trails: list[Trail] = []
         self.alone = alone if alone is not None else {}
         self.lenses: dict[str, CameraModel] = {}
@@ -94,5 +92,5 @@ class Memory:
 
     def forget_unused(self) -> None:
         """Drop what was not asked for since the last call."""
-        for kept in (self.modes, self.shown, self.noise, self.undisputed):
+        for kept in (self.modes, self.shown, self.noise):
             kept.forget_unused()

@@ -87,7 +87,7 @@ class Search:
             hypotheses = self._pruned(grown)
             if not hypotheses:
                 return []
-            if trail is not None:
+            if trail is not None and not self.budget.is_spent:
                 trail.note(number + 1, hypotheses, is_cut=self.is_cut)
         return hypotheses
 
@@ -110,7 +110,7 @@ class Search:
 
     def _minima(self, variants: Sequence[Variant]) -> list[Placed | None]:
         found = self._graphs.placed(variants)
-        self.budget.spend_placing(unknowns=[each.layout.size for each in found if each is not None])
+        self.budget.spend_placing(unknowns=[each.layout.size if each else 0 for each in found])
         return found
 
     def scored(self, hypothesis: Hypothesis) -> Hypothesis:

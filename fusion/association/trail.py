@@ -25,9 +25,10 @@ _LAST, _EVERY = 48, 8
 @dataclass(frozen=True, slots=True)
 class _Stage:
     """What was kept after some visits: hypotheses without their graphs, and of each of these the
-    layout and the poses; whether some were cut (`Search`)."""
+    layout and the poses; by robot, when its nodes were; whether some were cut (`Search`)."""
 
     kept: list[tuple[Hypothesis, Layout, Array]]
+    stamps_ns: dict[str, np.ndarray]
     is_cut: bool
 
 
@@ -47,10 +48,14 @@ class Trail:
             for each in hypotheses
             if each.placed is not None
         ]
-        self._stages[count] = _Stage(kept, is_cut)
+        self._stages[count] = _Stage(kept, self._stamps_ns, is_cut)
         old = count - _LAST
         if old % _EVERY:
             self._stages.pop(old, None)
+
+    def take_over(self, other: "Trail", count: int) -> None:
+        """Take what another search kept after at most `count` visits, which are the same."""
+        self._stages |= {n: stage for n, stage in other._stages.items() if n <= count}
 
     def same(self, keys: Sequence[object]) -> int:
         """Return how many visits a search over visits with these keys begins with, too."""
@@ -69,30 +74,37 @@ class Trail:
         if not last:
             return 0, [], False
         stage = self._stages[last]
-        return last, [self._variant(graph, *each) for each in stage.kept], stage.is_cut
+        return last, [_variant(graph, stage.stamps_ns, *each) for each in stage.kept], stage.is_cut
 
-    def _variant(
-        self, graph: Graph, hypothesis: Hypothesis, layout: Layout, poses: Array
-    ) -> tuple[Hypothesis, Variant]:
-        mine = graph.layout(list(layout.at))
-        there = np.concatenate([graph.odometry, poses[list(layout.at.values())]])
-        for robot, first in mine.first.items():
-            if robot in layout.first:
-                known = poses[layout.first[robot] :][: len(self._stamps_ns[robot])]
-                nodes = self._nodes(graph, robot, Pose.from_rows(known))
-                there[first : first + len(nodes)] = nodes
-        ties, breaks = hypothesis.ties, hypothesis.breaks
-        near = Placed(0.0, there, ties, breaks, mine, Factor())
-        return hypothesis, Variant(ties, hypothesis.nothing, breaks, near)
 
-    def _nodes(self, graph: Graph, robot: str, known: Pose) -> Array:
-        """Return the rows (n, 12) of a robot's nodes: those that were `known`, and the others by
-        odometry from the last of these before them, or the first."""
-        path, stamps_ns = graph.paths[robot], self._stamps_ns[robot]
-        shared = np.flatnonzero(np.isin(path.stamps_ns, stamps_ns))
-        if not len(shared):
-            return path.odometry.rows()
-        nearest = np.searchsorted(shared, np.arange(len(path.stamps_ns)), side="right") - 1
-        from_row = shared[np.maximum(nearest, 0)]
-        there = known[np.searchsorted(stamps_ns, path.stamps_ns[from_row])]
-        return (there @ path.odometry[from_row].inverse() @ path.odometry).rows()
+def _variant(
+    graph: Graph,
+    stamps_ns: dict[str, np.ndarray],
+    hypothesis: Hypothesis,
+    layout: Layout,
+    poses: Array,
+) -> tuple[Hypothesis, Variant]:
+    """Return a hypothesis of another graph, whose nodes were then, as one of this graph."""
+    mine = graph.layout(list(layout.at))
+    there = np.concatenate([graph.odometry, poses[list(layout.at.values())]])
+    for robot, first in mine.first.items():
+        if robot in layout.first:
+            known = poses[layout.first[robot] :][: len(stamps_ns[robot])]
+            nodes = _nodes(graph, robot, stamps_ns[robot], Pose.from_rows(known))
+            there[first : first + len(nodes)] = nodes
+    ties, breaks = hypothesis.ties, hypothesis.breaks
+    near = Placed(0.0, there, ties, breaks, mine, Factor())
+    return hypothesis, Variant(ties, hypothesis.nothing, breaks, near)
+
+
+def _nodes(graph: Graph, robot: str, stamps_ns: np.ndarray, known: Pose) -> Array:
+    """Return the rows (n, 12) of a robot's nodes: those that were `known`, and the others by
+    odometry from the last of these before them, or the first."""
+    path = graph.paths[robot]
+    shared = np.flatnonzero(np.isin(path.stamps_ns, stamps_ns))
+    if not len(shared):
+        return path.odometry.rows()
+    nearest = np.searchsorted(shared, np.arange(len(path.stamps_ns)), side="right") - 1
+    from_row = shared[np.maximum(nearest, 0)]
+    there = known[np.searchsorted(stamps_ns, path.stamps_ns[from_row])]
+    return (there @ path.odometry[from_row].inverse() @ path.odometry).rows()

@@ -49,7 +49,6 @@ class World:
         self.observations, self.noise, self.events = observations, noise, events
         self.data = data = with_noise(data, noise.by_robot)
         self.finder = finder = ModeFinder(data, observations, events, memory)
-        self._undisputed = memory.undisputed
         if parts is None:
             found = [part for v in visits_of(data, observations) for part in finder.parts_of(v)]
         else:
@@ -90,10 +89,12 @@ class World:
         """Search the explanations of all visits, one of which may be taken to be `wrong`, from
         where the search that left the trail `known` was the same; leave another `trail`."""
         count, starts, self.search.is_cut = 0, list[Hypothesis](), False
-        if known is not None:
+        if known is not None and not self.budget.is_spent:
             same = known.same(self.trail.keys)
             count, kept, is_cut = known.before(self.graph, same if wrong is None else wrong)
             starts, self.search.is_cut = self.search.placed(kept), is_cut
+            if trail is not None:
+                trail.take_over(known, count)
         if not starts:
             count, starts = 0, [self.search.beginning()]
         numbers = range(count, len(self.visits))
@@ -127,8 +128,7 @@ class World:
         self.hypotheses = [each for each in every if each.score <= every[0].score + _COUNTS]
 
     def _verify_cameras(self) -> None:
-        """For each camera of the best explanation, search everything else that its visits may be,
-        unless the last search found that nothing else counts, and nothing of that has changed.
+        """For each camera of the best explanation, search everything else that its visits may be.
         If the budget does not suffice, all cameras not verified yet are undecided, those with only
         one visit included."""
         best = self.hypotheses[0]
@@ -137,10 +137,6 @@ class World:
         for camera in cameras:
             mine = [n for n, v in enumerate(self.visits) if v.visit.camera == camera]
             if len(mine) < 2:
-                continue
-            key = self._explained_as(best, mine)
-            if self._undisputed.get(key):
-                verified.add(camera)
                 continue
             rest = self._without(best, set(mine))
             if rest is None:
@@ -154,15 +150,6 @@ class World:
                 break
             verified.add(camera)
             self._add(found)
-            others = [each for each in found if _signature(each) != _signature(best)]
-            is_alone = all(each.score > best.score + _COUNTS for each in others)
-            if is_alone and not self.search.is_cut:
-                self._undisputed.put(key, True)
-
-    def _explained_as(self, best: Hypothesis, mine: list[int]) -> tuple[object, ...]:
-        """Return what a camera's visits are, and as what the best explanation takes them."""
-        taken = [(best.ties.get(n), best.open.get(n), n in best.nothing) for n in mine]
-        return best.breaks, *(self.trail.keys[n] for n in mine), *taken
 
     def _without(self, hypothesis: Hypothesis, numbers: set[int]) -> Hypothesis | None:
         """The explanation of all visits but these; None where that is not determined."""

@@ -34,6 +34,9 @@ MOST_CORNERS = 4096
 MOST_TEXT_BYTES = 256
 """Limits per picture, per face, and of a name: several times those of any target."""
 
+# Of two names with their lengths and padding, and of the padding before the pose: what is kept.
+_MOST_NAMES_BYTES = 2 * (MOST_TEXT_BYTES + 8) + 8
+
 STAMP = struct.Struct("<iI")
 COUNT = struct.Struct("<I")
 TWO_COUNTS = struct.Struct("<II")
@@ -55,6 +58,8 @@ def odometry(payload: bytes) -> Odometry | None:
     try:
         seconds, nanoseconds = STAMP.unpack_from(payload, _START)
         names = payload[_START + STAMP.size : len(payload) - ODOMETRY.size]
+        if len(names) > _MOST_NAMES_BYTES:
+            return None
         frame_id, child_frame_id, position = _frames(names)
         values = ODOMETRY.unpack_from(payload, position)
     except (struct.error, ValueError):

@@ -14,6 +14,7 @@ namespace {
 
 // Of Newton's method.
 constexpr int MOST_ROUNDS = 20;
+constexpr double CONVERGED = 1e-12, WRONG = 1e-9;
 constexpr double RIGHT_ANGLE = 1.5707963267948966;
 
 }  // namespace
@@ -55,24 +56,25 @@ Eigen::Vector2d Lens::direction(const Eigen::Vector2d& pixel) const {
     const Eigen::Vector2d target = (pixel - centre_).cwiseQuotient(focal_);
     if (model_ == Model::EQUIDISTANT) {
         const double radius = target.norm();
-        double angle = radius;
-        for (int round = 0; round < MOST_ROUNDS; ++round) {
+        double angle = radius, error = 1;
+        for (int round = 0; round <= MOST_ROUNDS; ++round) {
             const double s = angle * angle;
-            const double bent = angle * (1 + s * (k_[0] + s * (k_[1] + s * (k_[2] + s * k_[3]))));
-            angle -= (bent - radius) /
-                     (1 + s * (3 * k_[0] + s * (5 * k_[1] + s * (7 * k_[2] + s * 9 * k_[3]))));
+            error = angle * (1 + s * (k_[0] + s * (k_[1] + s * (k_[2] + s * k_[3])))) - radius;
+            if (round == MOST_ROUNDS || std::abs(error) < CONVERGED) break;
+            angle -=
+                error / (1 + s * (3 * k_[0] + s * (5 * k_[1] + s * (7 * k_[2] + s * 9 * k_[3]))));
         }
-        if (!(angle < RIGHT_ANGLE)) return none;
+        if (!(std::abs(error) < WRONG && angle >= 0 && angle < RIGHT_ANGLE)) return none;
         return radius > 1e-12 ? Eigen::Vector2d(target * (std::tan(angle) / radius)) : target;
     }
     Eigen::Vector2d guess = target;
     Eigen::Matrix2d by;
     for (int round = 0; round < MOST_ROUNDS; ++round) {
         const Eigen::Vector2d error = target - polynomial(guess, by);
-        if (error.cwiseAbs().maxCoeff() < 1e-12) break;
+        if (error.cwiseAbs().maxCoeff() < CONVERGED) break;
         guess += by.inverse() * error;
     }
-    return (polynomial(guess, by) - target).norm() < 1e-9 ? guess : none;
+    return (polynomial(guess, by) - target).norm() < WRONG ? guess : none;
 }
 
 void Lens::by_parameters(const Eigen::Vector3d& point, Eigen::Ref<Eigen::MatrixXd> by) const {

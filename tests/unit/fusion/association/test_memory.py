@@ -77,3 +77,23 @@ def test_explained_bit_by_bit_it_is_what_it_is_at_once(shape: Shape) -> None:
             assert there.probability == pytest.approx(right.probability, rel=1e-3)
             apart = there.map_from_camera.difference(right.map_from_camera)
             np.testing.assert_allclose(apart, 0.0, atol=1e-4)
+
+
+@pytest.mark.parametrize("share", [0.3, 0.5, 0.7, 0.9])
+def test_what_a_short_budget_left_out_is_found_once_there_is_more(share: float) -> None:
+    data, observations = data_of(Shape(0, (0, 1, 0, 1, 0), is_alike=False))
+    alone, needed = spent(data, observations, Memory())
+    memory = Memory()
+    explain(data, observations, memory, Budget(share * needed))
+    found, _ = spent(data, observations, memory)
+    assert [read.readings for read in found.reads] == [read.readings for read in alone.reads]
+    for camera, finding in alone.findings.items():
+        assert found.findings[camera].is_located == finding.is_located
+
+
+def test_third_explanation_goes_on_from_where_the_second_did() -> None:
+    data, observations = data_of(Shape(0, (0, 1, 0, 1, 0), is_alike=False))
+    memory = Memory()
+    work = [spent(data, observations, memory)[1] for _ in range(4)]
+    assert work[1] == pytest.approx(work[2])
+    assert work[2] == pytest.approx(work[3])
