@@ -48,10 +48,9 @@ class Holding:
         """Ask for a map that is learnt, or held."""
         self.learns, self.is_asked = learns, False
 
-    def hold(self, fixed: FixedNetwork | None) -> FixedNetwork | None:
-        """Hold a network, and return it; None: learn again."""
+    def hold(self, fixed: FixedNetwork | None) -> None:
+        """Hold a network; None: learn again."""
         self.fixed, self.is_asked = fixed, False
-        return fixed
 
     def answered(self, request: bytes, *, has_map: bool) -> bytes:
         """Take a request (`wish_of`) and answer it. Raises InputError where it is none,

@@ -245,7 +245,8 @@ class FusionNode:
         if holding.is_to_learn_again:
             with self._lock:
                 self._is_read.clear()
-                self._pipeline = self._maker.make(holding.hold(None), is_live=False)
+                holding.hold(None)
+                self._pipeline = self._maker.make(None, is_live=False)
             if not self._resume(pulse):
                 return False
             with self._lock:
@@ -277,7 +278,8 @@ class FusionNode:
         self._open_storage.close()
         self._storage = None
         self._solution.forget()  # what comes meanwhile is not stored
-        self._pipeline = self._maker.make(holding.hold(fixed))
+        holding.hold(fixed)
+        self._pipeline = self._maker.make(fixed)
         self._diagnostics.restart()
         self._announce_again()
         _log.info("the map is fixed, as it is in %s", self._out / "network.json")
@@ -306,13 +308,8 @@ class FusionNode:
         """Resume the map that a killed fusion left; on the working thread. Messages that come
         meanwhile are set aside and used afterwards. False where a stop came first."""
         with self._lock:
-            self._storage = MapStorage(
-                self._out,
-                self._site,
-                self._clock,
-                knows=self._admission.knows,
-                past=self._pipeline.past,
-            )
+            knows, past = self._admission.knows, self._pipeline.past
+            self._storage = MapStorage(self._out, self._site, self._clock, knows=knows, past=past)
         pipeline, count = self._pipeline, 0
         replay, found = Replay(pipeline), self._storage.records()
         aside: list[tuple[Sample, Message]] = []

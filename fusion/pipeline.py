@@ -65,10 +65,7 @@ class Pipeline:
         self._estimator, self._follower = found.estimator, found.follower
         self.reports = found.reports
         self._intake = Intake(
-            inputs.site,
-            inputs.targets,
-            shared=shared,
-            standstills=Standstills(data.tracks),
+            inputs.site, inputs.targets, shared=shared, standstills=Standstills(data.tracks)
         )
         self.arrivals = Arrivals(inputs.site, data.tracks)
         self._left_out = LeftOut()
@@ -155,7 +152,8 @@ class Pipeline:
     @property
     def messages_left_out(self) -> dict[str, int]:
         """What of `left_out` are messages: all but the events."""
-        return {r: count for r, count in self.left_out.items() if r not in self._events.kinds}
+        kinds = self._events.kinds
+        return {reason: count for reason, count in self.left_out.items() if reason not in kinds}
 
     # -- input ------------------------------------------------------------------------------------
 
@@ -197,7 +195,8 @@ class Pipeline:
 
     def _push_diagnostics(self, message: Diagnostics) -> bool:
         """Take that cameras noticed that they were moved; whether any of it is new."""
-        for move in (moves := self.nudges.new_in(message)):
+        moves = self.nudges.new_in(message)
+        for move in moves:
             self._estimator.camera_moved(move)
             self._events.add(Event("camera_nudged", self.nudges.words(move.camera)))
         return bool(moves)
@@ -280,7 +279,8 @@ class Pipeline:
             ):
                 self._explain_all()
         # Live, cameras are announced also while none of them sees a robot: no transform grows old.
-        stamp_ns = (0 if self._is_live else self._used_ns) or self._data.last_ns
+        used_ns = 0 if self._is_live else self._used_ns
+        stamp_ns = used_ns or self._data.last_ns
         if self._cameras.is_due(stamp_ns, is_quiet=is_quiet):
             self._take_cameras(stamp_ns, is_urgent=False)
         self._outputs += self._cameras.next(is_quiet=is_quiet)

@@ -36,7 +36,7 @@ from trigpoint.testing.memory_bus import MemoryBroker
 from .corridor import Corridor
 
 _CAMERAS = 30
-_POLL_S, _PATIENCE_S = 0.01, 60.0
+_POLL_S, _ANSWER_S, _PATIENCE_S = 0.01, 60.0, 900.0
 
 
 def main(
@@ -90,7 +90,7 @@ def _started(corridor: Corridor, folder: Path) -> tuple[float, float, float, flo
         _wait(lambda: node.health.report().values["cameras_located"] != "0")
         corrects_s = time.monotonic() - began_s
         asked = command_key(site, "fusion/network")
-        _wait(lambda: not any(reply.error for reply in other.query(asked, timeout_s=_PATIENCE_S)))
+        _wait(lambda: not any(reply.error for reply in other.query(asked, timeout_s=_ANSWER_S)))
         solved_s = time.monotonic() - began_s
     fusion.finish()
     return work_s, read_s, corrects_s, solved_s
@@ -101,5 +101,8 @@ def _solver(inputs: Inputs) -> SolverProcess:
 
 
 def _wait(holds: Callable[[], bool]) -> None:
+    end_s = time.monotonic() + _PATIENCE_S
     while not holds():
+        if time.monotonic() > end_s:
+            raise TimeoutError(f"fusion was not so far after {_PATIENCE_S:.0f} s")
         time.sleep(_POLL_S)

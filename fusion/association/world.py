@@ -60,7 +60,7 @@ class World:
         keys = [(finder.key(v.visit), *data.told, *data.known.poses) for v in self.visits]
         known = max(memory.trails, key=lambda trail: trail.same(keys), default=None)
         self.trail = Trail(self.graph, keys)
-        self.hypotheses = self._searched(known, trail=self.trail)
+        self.hypotheses = self._searched(known)
         self.undecided = self._cameras() if self.budget.is_spent else set()
         self.crowded = set[str]()
 
@@ -83,11 +83,11 @@ class World:
     def _cameras(self) -> set[str]:
         return {v.visit.camera for v in self.visits}
 
-    def _searched(
-        self, known: Trail | None, *, wrong: int | None = None, trail: Trail | None = None
-    ) -> list[Hypothesis]:
-        """Search the explanations of all visits, one of which may be taken to be `wrong`, from
-        where the search that left the trail `known` was the same; leave another `trail`."""
+    def _searched(self, known: Trail | None, *, wrong: int | None = None) -> list[Hypothesis]:
+        """Search the explanations of all visits, from where the search that left the trail `known`
+        was the same, and leave the trail of this world; where one visit is taken to be `wrong`,
+        leave none."""
+        trail = self.trail if wrong is None else None
         count, starts, self.search.is_cut = 0, list[Hypothesis](), False
         if known is not None and not self.budget.is_spent:
             same = known.same(self.trail.keys)

@@ -172,9 +172,7 @@ class Follower:
         if not all(tracks[robot].covers(stamp_ns) for robot, stamp_ns in stamps_ns.items()):
             return False
         jumps = {
-            robot: tuple(
-                s for s in steps if tracks[robot].covers(s[0]) and tracks[robot].covers(s[1])
-            )
+            robot: tuple(step for step in steps if all(map(tracks[robot].covers, step)))
             for robot, steps in solved.conclusions.jumps.items()
         }
         solved = replace(solved, conclusions=replace(solved.conclusions, jumps=jumps))

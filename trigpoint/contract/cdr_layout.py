@@ -93,8 +93,7 @@ def _frames(names: bytes) -> tuple[str, str, int]:
 def pose_estimate(payload: bytes) -> PoseEstimate | None:
     """The message, or None if it is not valid."""
     try:
-        seconds, nanoseconds = STAMP.unpack_from(payload, _START)
-        frame_id, position = _string(payload, _START + STAMP.size)
+        stamp_ns, frame_id, position = _header(payload)
         position = _aligned(position, 8)
         values = POSE.unpack_from(payload, position)
         covariance = np.frombuffer(payload, "<f8", _COVARIANCE, position + POSE.size)
@@ -107,7 +106,7 @@ def pose_estimate(payload: bytes) -> PoseEstimate | None:
     if not is_sound or abs(math.hypot(*quaternion) - 1) > UNIT_TOLERANCE:
         return None
     return PoseEstimate(
-        seconds * 1_000_000_000 + nanoseconds,
+        stamp_ns,
         frame_id,
         Pose(of_quaternion(*quaternion), np.array((x, y, z))),
         covariance.reshape(6, 6).astype(float),
@@ -117,9 +116,7 @@ def pose_estimate(payload: bytes) -> PoseEstimate | None:
 def sightings(payload: bytes) -> Sightings | None:
     """The message, or None if it is not valid; raise MessageError if it holds too much."""
     try:
-        seconds, nanoseconds = STAMP.unpack_from(payload, _START)
-        frame_id, position = _string(payload, _START + STAMP.size)
-        position = _aligned(position, 4)
+        stamp_ns, frame_id, position = _header(payload)
         width, height = TWO_COUNTS.unpack_from(payload, position)
         count = COUNT.unpack_from(payload, position + 8)[0]
         position += 12
@@ -132,16 +129,13 @@ def sightings(payload: bytes) -> Sightings | None:
         return None
     if len(faces) != count or not _is_whole(payload, position):
         return None
-    stamp_ns = seconds * 1_000_000_000 + nanoseconds
     return Sightings(stamp_ns, frame_id, width, height, tuple(faces))
 
 
 def camera_info(payload: bytes) -> CameraInfo | None:
     """The message, or None if it is not valid."""
     try:
-        seconds, nanoseconds = STAMP.unpack_from(payload, _START)
-        frame_id, position = _string(payload, _START + STAMP.size)
-        position = _aligned(position, 4)
+        stamp_ns, frame_id, position = _header(payload)
         height, width = TWO_COUNTS.unpack_from(payload, position)
         model, position = _string(payload, position + TWO_COUNTS.size)
         position = _aligned(position, 4)
@@ -158,7 +152,7 @@ def camera_info(payload: bytes) -> CameraInfo | None:
         camera = CameraModel(width, height, k[0], k[4], k[2], k[5], distortion, LensModel(model))
     except (struct.error, ValueError):
         return None
-    return CameraInfo(seconds * 1_000_000_000 + nanoseconds, frame_id, camera)
+    return CameraInfo(stamp_ns, frame_id, camera)
 
 
 def _face(payload: bytes, position: int) -> tuple[FaceSighting, int]:
@@ -192,6 +186,14 @@ def check_count(what: str, count: int, most: int) -> None:
 def _is_whole(payload: bytes, end: int) -> bool:
     """Whether the bytes are little-endian CDR and end where the message does."""
     return payload[:2] == _LITTLE_ENDIAN and end <= len(payload) <= end + _PADDING
+
+
+def _header(payload: bytes) -> tuple[int, str, int]:
+    """A message's stamp and frame, and the position after them, a multiple of four; ValueError or
+    struct.error if they are none."""
+    seconds, nanoseconds = STAMP.unpack_from(payload, _START)
+    frame_id, position = _string(payload, _START + STAMP.size)
+    return seconds * 1_000_000_000 + nanoseconds, frame_id, _aligned(position, 4)
 
 
 def _string(payload: bytes, position: int) -> tuple[str, int]:

@@ -63,3 +63,19 @@ class StuckSolver(SlowSolver):
         found = super().news()
         self.has_reported |= any(isinstance(item, Reported) for item in found)
         return found
+
+
+class Listed:
+    """A solver that only notes what it is told."""
+
+    def __init__(self) -> None:
+        self.orders: list[Order] = []
+
+    def tell(self, orders: Sequence[Order]) -> None:
+        self.orders += orders
+
+    def news(self) -> list[News]:
+        return []
+
+    def close(self) -> None:
+        """Nothing is held open."""

@@ -1,6 +1,5 @@
 """A replay works where there is something to do, with what comes of work at every message."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,12 +12,12 @@ from support.fusion.drives import (
     lab_plan,
     make_session,
 )
+from support.fusion.solvers import Listed
 
 from trigpoint.base.clock import to_ns
 from trigpoint.contract.messages import Odometry, Sightings
 from trigpoint.fusion.inbox import Input
 from trigpoint.fusion.live.solver_messages import (
-    News,
     Order,
     TakeLens,
     TakeObservation,
@@ -27,22 +26,6 @@ from trigpoint.fusion.live.solver_messages import (
 from trigpoint.fusion.pipeline import Pipeline
 from trigpoint.fusion.replaying import replayed
 from trigpoint.tools.simulation.sight.targets import target_of
-
-
-class Listed:
-    """A solver that only notes what it is told."""
-
-    def __init__(self) -> None:
-        self.orders: list[Order] = []
-
-    def tell(self, orders: Sequence[Order]) -> None:
-        self.orders += orders
-
-    def news(self) -> list[News]:
-        return []
-
-    def close(self) -> None:
-        """Nothing is held open."""
 
 
 @pytest.fixture(scope="module")

@@ -1,11 +1,11 @@
 """The solver's process: its signs of life, and what it does with orders that pile up."""
 
-from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
 from support.builders import eventually
 from support.fusion.drives import Session
+from support.fusion.solvers import Listed
 
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.live.solver_messages import (
@@ -53,22 +53,6 @@ def test_what_may_be_waited_for_grows_with_what_a_solution_took() -> None:
 
 
 # -- orders that pile up --------------------------------------------------------------------------
-
-
-class Listed:
-    """A solver that only keeps what it is told."""
-
-    def __init__(self) -> None:
-        self.orders: list[Order] = []
-
-    def tell(self, orders: Sequence[Order]) -> None:
-        self.orders += orders
-
-    def news(self) -> list[News]:
-        return []
-
-    def close(self) -> None:
-        """Nothing is held open."""
 
 
 def orders_of(session: Session) -> list[Order]:
