@@ -49,13 +49,15 @@ class SimulatedFrames:
         return self._skipped
 
     def frames(self, stopping: threading.Event) -> Iterator[Frame]:
-        """Pictures until `stopping` is set; made on the taker's thread."""
+        """Pictures until `stopping` is set; made on the taker's thread, each before it is due, so
+        that what drawing takes does not count as the camera's delay."""
         due = max(0, self._newest() + 1)
+        picture = self._renderer.picture(due)
         while self._wait_for(due, stopping):
-            newest = max(due, self._newest())
-            self._skipped += newest - due
-            yield Frame(self._renderer.picture(newest), self._captured_ns(newest))
-            due = newest + 1
+            yield Frame(picture, self._captured_ns(due))
+            following = max(due + 1, self._newest())
+            self._skipped += following - due - 1
+            due, picture = following, self._renderer.picture(following)
 
     def close(self) -> None:
         """Nothing is held open."""
