@@ -2,14 +2,14 @@
 
 import os
 import platform
-from dataclasses import dataclass
 from importlib.metadata import version
+
+from msgspec import Struct
 
 LIBRARIES = ("eclipse-zenoh", "mcap", "numpy", "opencv-python-headless", "rosbags", "trigpoint")
 
 
-@dataclass(frozen=True, slots=True)
-class Machine:
+class Machine(Struct, frozen=True):
     """`load`: processes that wanted to run over the last minute, when the run began."""
 
     cores: int

@@ -1,12 +1,12 @@
 """Sessions written and read: our sink and our reader against those of the mcap library."""
 
 import os
-from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
+from msgspec import Struct
 
 from trigpoint.base.clock import SystemClock
 from trigpoint.contract import cdr, topics
@@ -22,8 +22,7 @@ _PICTURES, _READINGS = 500, 60_000  # each fits into the sink's queue of 64 MiB
 _ROUNDS = 3
 
 
-@dataclass(frozen=True, slots=True)
-class Load:
+class Load(Struct, frozen=True):
     """One payload `count` times on a topic."""
 
     what: str

@@ -1,14 +1,14 @@
 """The table of benchmarks: by each name the question that it answers, and what a row of it is."""
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from importlib import import_module
 from importlib.util import find_spec
 from types import ModuleType
 
+from msgspec import Struct
 
-@dataclass(frozen=True, slots=True)
-class Benchmark:
+
+class Benchmark(Struct, frozen=True):
     """`module`: has `run`, which takes an effort and gives rows; `main`, a command line, where it
     `has_options` or `is_long` (or `app`, of several). `needs`: a library that only benchmarks have.
     """
@@ -98,8 +98,7 @@ BENCHMARKS: dict[str, Benchmark] = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Row:
+class Row(Struct, frozen=True):
     """One quantity, ours and the other's, in `unit`; `against` says what the other is."""
 
     benchmark: str

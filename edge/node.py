@@ -3,9 +3,9 @@
 import logging
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import numpy as np
+from msgspec.structs import replace
 
 from trigpoint.base.clock import Clock, SteadyClock, to_seconds
 from trigpoint.base.errors import FrameError

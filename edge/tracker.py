@@ -6,10 +6,11 @@ followed faces are searched more often.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from trigpoint.base.clock import Clock, SystemClock
 from trigpoint.contract.messages import FaceSighting
@@ -50,8 +51,7 @@ _FAR_PX = 10_000
 _COARSE = 8
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Track:
+class Track(Struct, frozen=True, eq=False):
     """A followed face: the last detection, its time, and the change per second of its plane's
     homography, (3, 3), as `_scaled`; None until seen twice. `misses`: later pictures in which it
     was looked for in vain; `is_steady`: false if it was found away from its predicted place."""

@@ -5,9 +5,9 @@ turn, new ones first, and the floor of one, in turns in which no robot waits.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.base.clock import to_ns
 from trigpoint.contract import topics
@@ -31,8 +31,7 @@ _SAME_FLOOR_M = 0.05
 _SAME_FLOOR_RAD = 0.01
 
 
-@dataclass(frozen=True, slots=True)
-class _Known:
+class _Known(Struct, frozen=True):
     """A camera's estimate at a moment."""
 
     stamp_ns: int

@@ -1,7 +1,8 @@
 """Which estimator works for a pipeline."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from .estimators.interface import Live
 from .estimators.registry import make_estimator
@@ -13,8 +14,7 @@ from .live.solver_messages import Solver
 from .model.dataset import DataSet
 
 
-@dataclass(frozen=True, slots=True)
-class Estimating:
+class Estimating(Struct, frozen=True):
     """An estimator, and where its results come from; `follower`: the estimator that a solver works
     for, None where there is none."""
 

@@ -1,7 +1,8 @@
 """Receives the estimator's input from the bus."""
 
 from collections.abc import Iterator
-from dataclasses import replace
+
+from msgspec.structs import replace
 
 from trigpoint.base.clock import Clock, to_ns
 from trigpoint.base.errors import MessageError

@@ -1,7 +1,8 @@
 """The messages that fusion sends, and what they say to people."""
 
 import math
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from trigpoint.contract import topics
 from trigpoint.contract.messages import Message, PoseEstimate, PoseStamped, Transforms
@@ -11,8 +12,7 @@ from .live.solver_messages import Covered, Suggested
 from .model.observations import Observation
 
 
-@dataclass(frozen=True, slots=True)
-class Output:
+class Output(Struct, frozen=True):
     """A message to send: `node` is the camera or robot of its key; `observation`: what a correction
     is by."""
 

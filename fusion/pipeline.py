@@ -5,8 +5,9 @@ node feeds it from the bus, `calibrate` from a recording.
 """
 
 from collections import Counter
-from dataclasses import replace
 from uuid import UUID
+
+from msgspec.structs import replace
 
 from trigpoint.base.clock import to_ns
 from trigpoint.contract.messages import CameraInfo, Diagnostics, Message, Odometry, Sightings

@@ -1,8 +1,9 @@
 """Makes the pipeline of each map that begins or goes on, with the solver that works beside it."""
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
+
+from msgspec.structs import replace
 
 from .checkpoint import PAST
 from .fixed.network import FixedNetwork

@@ -7,22 +7,22 @@ error.
 """
 
 import ctypes
+import struct
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from struct import Struct
 from typing import Any, ClassVar
 from weakref import finalize
 
 import numpy as np
+from msgspec import Struct
 
 LIBRARY = Path(__file__).with_name("libtrigpoint_core.so")
 _ERROR = ctypes.c_char * 256  # as ERROR_BYTES of `border.hpp`
 _NO_MEMORY = -2
 # As `trigpoint::Argument` of `border.hpp` and `Parameter` of `packing.cpp`.
 _ARGUMENT_BYTES = 32
-_PARAMETER = Struct("=icbbb3q")
+_PARAMETER = struct.Struct("=icbbb3q")
 _ARRAY, _WHOLE, _NUMBER, _OBJECT = range(4)
 _MOST_LETTERS = 24
 _KINDS = {"f": b"f", "i": b"i", "u": b"u", "b": b"?"}
@@ -33,8 +33,7 @@ _PYTHON = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class In:
+class In(Struct, frozen=True):
     """An array that is read: its type, and its shape; a letter for a length that is free, the same
     wherever the letter is the same."""
 
@@ -43,8 +42,7 @@ class In:
     is_written: ClassVar[bool] = False
 
 
-@dataclass(frozen=True, slots=True)
-class Out(In):
+class Out(In, frozen=True):
     """An array that is written, of the caller."""
 
     is_written: ClassVar[bool] = True

@@ -5,8 +5,9 @@ Called by the reader's thread and by the corrections' thread; one lock guards al
 
 import logging
 import threading
-from dataclasses import dataclass
 from uuid import UUID
+
+from msgspec import Struct
 
 from trigpoint.base.clock import Clock, to_ns, to_seconds
 from trigpoint.contract.correction import CorrectionMark
@@ -49,8 +50,7 @@ _log = logging.getLogger(__name__)
 _SERIOUS = {Refusal.SENDERS, Refusal.PULL, Refusal.OTHER_MAP}
 
 
-@dataclass(frozen=True, slots=True)
-class Location:
+class Location(Struct, frozen=True):
     """A robot's pose at a reading. `covariance`: (6, 6), as in the contract; `resets`: how often
     the robot was placed anew."""
 

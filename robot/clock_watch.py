@@ -9,7 +9,8 @@ left by the round trip.
 import json
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from trigpoint.base.clock import to_seconds
 from trigpoint.bus.bus import Bus, Reply
@@ -24,8 +25,7 @@ _KEPT = 8
 """Of this many queries, the one answered soonest counts."""
 
 
-@dataclass(frozen=True, slots=True)
-class ClockOffset:
+class ClockOffset(Struct, frozen=True):
     """Fusion's clock minus ours, seconds; the true value is within `uncertainty_s` of it."""
 
     offset_s: float

@@ -7,9 +7,9 @@ it is and what its clock reads.
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.base.clock import Clock, SystemClock, to_ns
 from trigpoint.base.errors import BusError, MessageError, OperationError
@@ -37,8 +37,7 @@ _SLICE_S = 0.05
 Say = Callable[[str], None]
 
 
-@dataclass(frozen=True, slots=True)
-class Glance:
+class Glance(Struct, frozen=True):
     """One second of a dry run."""
 
     odometry: int

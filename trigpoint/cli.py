@@ -7,11 +7,11 @@ import signal
 import sys
 import traceback
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from types import FrameType
 from typing import Annotated, NoReturn
 
 import typer
+from msgspec import Struct
 
 from trigpoint.base.ending import ENDING
 from trigpoint.base.errors import MissingExtraError, TrigpointError
@@ -25,8 +25,7 @@ _LOG_LEVEL = "--log-level"
 _COMPLETE = f"_{PROGRAM.upper()}_COMPLETE"
 
 
-@dataclass(frozen=True, slots=True)
-class Command:
+class Command(Struct, frozen=True):
     """One row. `place`: «module:function»; `extra`: the extra that it needs; a `service` runs until
     it is told to stop, so that a stop counts as success."""
 

@@ -2,11 +2,12 @@
 
 import zlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any
 
 import numpy as np
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 
 class Route(StrEnum):
@@ -26,8 +27,7 @@ class Room(StrEnum):
     WALLS = "walls"
 
 
-@dataclass(frozen=True, slots=True)
-class Recipe:
+class Recipe(Struct, frozen=True):
     """What happens in a session. Nothing of it unless it is written.
 
     `route`, `robots`, `is_one_target` (all robots carry the same one), `cameras`, `room`,
@@ -99,7 +99,7 @@ class Recipe:
     def what(self) -> dict[str, Any]:
         """What differs from a plain session, for truth.json."""
         plain = Recipe(self.kind, self.seed)
-        names = [name for name in self.__dataclass_fields__ if name != "seed"]
+        names = [name for name in self.__struct_fields__ if name != "seed"]
         always = {"kind", "route", "cameras", "sigma_px", "noise", "stated"}
         return {
             name: getattr(self, name)
@@ -119,8 +119,7 @@ def drawn(kind: str, seed: int) -> Recipe:
     return unknown_to_the_site(recipe) if preset.is_mismatch else recipe
 
 
-@dataclass(frozen=True, slots=True)
-class Preset:
+class Preset(Struct, frozen=True):
     """A kind of session: `always` stands above what `draw` drew."""
 
     title: str

@@ -4,10 +4,9 @@ Every leg is driven as reported and the truth scatters about the report, by the 
 contract; the next leg starts from where the robot truly is, as if somebody watched it.
 """
 
-from dataclasses import dataclass, replace
-
 import numpy as np
-from msgspec import structs
+from msgspec import Struct, structs
+from msgspec.structs import replace
 
 from trigpoint.geometry import Pose
 from trigpoint.geometry import rotation as so3
@@ -37,8 +36,7 @@ _IN_SPACE = dict.fromkeys(("vertical", "tilt", "tilt_turn"), 0.003)
 _MOST_SWING = np.array([0.03, 0.03, 0.15, 0.15, 0.15, 0.1])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Ride:
+class Ride(Struct, frozen=True, eq=False):
     """`map_from_base`, `odom_from_base`: (n) poses, one each STEP_S, from time 0 on; `stops_s`:
     the middle of each stand; `straight_s`: from when to when it drove straight; `lifts_s`;
     `scale_errors`: (2,) of distance and heading."""

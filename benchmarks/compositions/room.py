@@ -1,8 +1,8 @@
 """The cameras of a drawn session: where they hang, through which lens they look, what is told."""
 
-from dataclasses import dataclass, replace
-
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from benchmarks.study.disturbance import maps_one_to_one
 from trigpoint.geometry import CameraModel, Pose
@@ -18,16 +18,14 @@ TARGET_HEIGHT_M = 0.72
 FOCAL_SPREAD, CENTRE_SPREAD, DISTORTION_SPREAD = 0.03, 0.01, 0.03
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Move:
+class Move(Struct, frozen=True, eq=False):
     """A camera that is knocked at a time, seconds, and hangs at `map_from_camera` from then on."""
 
     at_s: float
     map_from_camera: Pose
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Camera:
+class Camera(Struct, frozen=True, eq=False):
     """`told`: the lens that camera_info says; `stand`: (2,) the middle of the floor before it."""
 
     name: str

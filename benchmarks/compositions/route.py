@@ -1,9 +1,9 @@
 """Where the robots of a drawn session go, and how they stand before the cameras."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.geometry.rotation import wrap
 from trigpoint.site.target import Target
@@ -19,8 +19,7 @@ _MOST_DRAWS = 60
 _LONGEST_DANCE_S, _LONGEST_DRIVE_S = 300.0, 150.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Tour:
+class _Tour(Struct, frozen=True, eq=False):
     """One robot's tour: the cameras from its first one on, and what it does before them."""
 
     recipe: Recipe

@@ -1,10 +1,11 @@
 """A drawn session: who saw what and when, the messages of it, and the truth."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
 from operator import itemgetter
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from benchmarks.study.disturbance import mounted
 from trigpoint.base.clock import to_ns
@@ -24,8 +25,7 @@ _LATE_S, _TWICE_S = (0.5, 3.0), 0.05
 _GAP_S = (0.5, 2.5)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Composition:
+class Composition(Struct, frozen=True, eq=False):
     """A session. `carriers`: the robots; `pictures`: with a sighting, by camera in time order;
     `gaps_s`: of each robot, when its odometry was lost."""
 

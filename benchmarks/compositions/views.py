@@ -1,8 +1,8 @@
 """What the cameras of a drawn session see, and what becomes of it on the way to a message."""
 
-from dataclasses import dataclass, replace
-
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from trigpoint.base.clock import to_ns
 from trigpoint.contract.messages import FaceSighting
@@ -21,8 +21,7 @@ _LEAST_DISPLACED_PX, _MOST_DISPLACED_PX = 8.0, 40.0
 _FLOOR_WAVES, _SHORTEST_WAVE_M = 4, 1.5
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Carrier:
+class Carrier(Struct, frozen=True, eq=False):
     """A robot: what the site file says it carries, what it truly carries, where it goes."""
 
     name: str
@@ -31,8 +30,7 @@ class Carrier:
     ride: Ride
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Labelled:
+class Labelled(Struct, frozen=True, eq=False):
     """A sighting as it is sent, and what it truly shows. `is_turned`: in the order of the half
     turn; `is_displaced`, `is_misnamed`: wrong as a whole; `wild`: how many corners are."""
 
@@ -49,8 +47,7 @@ class Labelled:
         return not (self.is_displaced or self.is_misnamed)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Picture:
+class Picture(Struct, frozen=True, eq=False):
     """What a camera saw at a true time; `faces` is never empty."""
 
     camera: str

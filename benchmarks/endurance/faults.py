@@ -7,8 +7,9 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
+
+from msgspec import Struct
 
 from benchmarks.network.impairment import Impairment
 from benchmarks.network.segments import Segments
@@ -27,8 +28,7 @@ RECORDING = "recording"
 """The key by which one sees that the recording grows; it is none of the bus."""
 
 
-@dataclass(frozen=True, slots=True)
-class Fault:
+class Fault(Struct, frozen=True):
     """`act` breaks something, for a while, and mends it; `ends_program`: one begins anew by it."""
 
     kind: str

@@ -20,11 +20,12 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
+from msgspec import Struct, field
+from msgspec.structs import asdict, replace
 
 from benchmarks.network.segments import PORT, Segments, certify
 from benchmarks.timing import family, resident_mb
@@ -48,8 +49,7 @@ _CAMERAS = ("c1", "c2")
 _ENDING_SHARE = 1 / 3
 
 
-@dataclass(slots=True)
-class Sample:
+class Sample(Struct):
     """One program at a moment: seconds since the start, resident memory, open files, threads."""
 
     t_s: float
@@ -60,8 +60,7 @@ class Sample:
     threads: int
 
 
-@dataclass(slots=True)
-class Break:
+class Break(Struct):
     """Something that was broken; `back_s`: from when it was mended until the key came again."""
 
     t_s: float
@@ -70,8 +69,7 @@ class Break:
     back_s: float = float("nan")
 
 
-@dataclass(slots=True)
-class Record:
+class Record(Struct):
     """All that the run wrote down."""
 
     seconds: float

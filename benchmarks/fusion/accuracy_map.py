@@ -10,11 +10,11 @@ not drawn but those that calibrations of so many drives truly made.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
 import typer
+from msgspec import Struct
 
 from benchmarks.machine import machine
 from trigpoint.fusion.coverage.boards import Carried
@@ -36,8 +36,7 @@ _SIGMA_PX = 0.15
 _BINS = 20
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Drawn:
+class Drawn(Struct, frozen=True, eq=False):
     """Cells (n). `stated_m`: the radius by the map, `error_m`: the error made, both inf where there
     is no correction; `needs`, `needed`: the number of the camera without which there is none, by
     the map and in the simulation, -1 where none is; `cameras`: how many see the robot."""

@@ -5,11 +5,11 @@ a few metres. Cameras do not overlap but for neighbours.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.contract.messages import CameraInfo, FaceSighting, Odometry, Sightings
 from trigpoint.fusion.inbox import Input
@@ -35,8 +35,7 @@ _ROBOT = '[robots.{0}]\nport = "sim"\ntarget = "{0}.toml"\n'
 _CAMERA = '[cameras.c{}]\nsource = "sim://c{}"\nwidth = 640\nheight = 480\nrate = 5.0\n'
 
 
-@dataclass(frozen=True, slots=True)
-class Corridor:
+class Corridor(Struct, frozen=True):
     """`cameras` of them on a ring, driven along for `duration_s`. `robots`: spread along it, each
     with a target of its own; `is_empty_told`: whether cameras that see none say so; `stands_s`: for
     how long they then stand where they arrived."""

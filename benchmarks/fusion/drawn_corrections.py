@@ -1,9 +1,8 @@
 """A robot at a place of a known network, seen by its cameras once: what fusion's filter makes of
 that, where the cameras stand a little otherwise than the network says."""
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.contract.messages import FaceSighting
 from trigpoint.fusion.coverage.eye import Eye
@@ -40,8 +39,7 @@ _NOTHING_M2 = 1e4
 _STAMP_NS = 1_700_000_000_000_000_000
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Corrector:
+class Corrector(Struct, frozen=True, eq=False):
     """Fusion's filter with a network that is known. `robot`: the one that is corrected."""
 
     data: DataSet

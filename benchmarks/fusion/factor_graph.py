@@ -8,10 +8,9 @@ GTSAM disturbs a pose on its right by (rotation, translation); the contract on i
 parent's axes, by (translation, rotation). To first order δθ = Rω and δt = Rv.
 """
 
-from dataclasses import dataclass
-
 import gtsam  # pyright: ignore[reportMissingImports] - of the extra `bench`
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.fusion.model.problem import Batch, Chain, Problem, State
 from trigpoint.geometry import CameraModel, Pose
@@ -28,8 +27,7 @@ _PICTURE_STEPS = 20
 _PICTURE_TOLERANCE = 1e-9
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Graph:
+class Graph(Struct, frozen=True, eq=False):
     """A factor graph, where to start, and the cameras' keys in order."""
 
     factors: gtsam.NonlinearFactorGraph
@@ -37,8 +35,7 @@ class Graph:
     cameras: dict[str, int]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Solved:
+class Solved(Struct, frozen=True, eq=False):
     """`map_from_camera` (n) and their joint covariance (6n, 6n) by the contract's convention."""
 
     map_from_camera: Pose
@@ -152,8 +149,7 @@ def _add_moved(factors: gtsam.NonlinearFactorGraph, problem: Problem, chain: Cha
         factors.add(gtsam.CustomFactor(noise, keys, _Moved(steps[index]).error))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Moved:
+class _Moved(Struct, frozen=True, eq=False):
     """A reported motion; its residual is `prediction.odometry_terms`'s."""
 
     reported: Pose
@@ -176,8 +172,7 @@ class _Moved:
         return np.concatenate([between.translation - self.reported.translation, turn])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Seen:
+class _Seen(Struct, frozen=True, eq=False):
     """Corners (n, 3) in the base frame, their pixels (n, 2) and 1/sigma (n,)."""
 
     lens: CameraModel

@@ -1,10 +1,11 @@
 """The smoother against GTSAM on the same problem from the same start: poses, sigmas, time."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from benchmarks.study.oracle import known_to_oracle
 from benchmarks.study.session import simulated_session
@@ -25,8 +26,7 @@ _ROUNDS = 3
 _FORMS = {"native": "GTSAM, relative poses", "reprojection": "GTSAM, custom factors"}
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Difference:
+class Difference(Struct, frozen=True, eq=False):
     """Between two solutions of a session: the largest difference of a coordinate of a camera's
     pose in sigmas, and of a sigma, relative."""
 

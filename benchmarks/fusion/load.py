@@ -13,7 +13,6 @@ whole where that is not reached), or the standstill. Times are the processor's.
 import time
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field, replace
 from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -21,6 +20,8 @@ from typing import Annotated
 
 import numpy as np
 import typer
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from benchmarks.report import tell
 from benchmarks.table import Row
@@ -42,8 +43,7 @@ _POLL_S = 0.05
 _MEASURED_LAPS = 0.2
 
 
-@dataclass(frozen=True, slots=True)
-class Load:
+class Load(Struct, frozen=True):
     """A drive; `by_the_clock`: its messages come when they are due."""
 
     corridor: Corridor
@@ -72,8 +72,7 @@ LOADS: dict[str, Load] = {
 }
 
 
-@dataclass(slots=True)
-class Span:
+class Span(Struct):
     """A part of a session: what its turns took, and how late after its messages were due each turn
     with sightings was done; `memory`: MB of the estimator and of its solver, every 30 s."""
 

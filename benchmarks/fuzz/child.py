@@ -10,8 +10,9 @@ import signal
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
+
+from msgspec import Struct
 
 from trigpoint.native import library
 from trigpoint.native.library import Handle, Kernel
@@ -19,8 +20,7 @@ from trigpoint.native.library import Handle, Kernel
 from .inputs import Call, Made, drawn
 
 
-@dataclass(frozen=True, slots=True)
-class Work:
+class Work(Struct, frozen=True):
     """Inputs for the core at `core`: those `numbers` of a seed, or the `calls` of one.
 
     The number of the one in work goes to `progress`; each has `most_s` of processor time.

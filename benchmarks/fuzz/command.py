@@ -10,11 +10,11 @@ such input again. Status 1 where there is any.
 import pickle
 import sys
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
+from msgspec.structs import replace
 
 from trigpoint.native import build
 

@@ -6,11 +6,11 @@ seed and its number alone.
 
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import TypeVar
 
 import numpy as np
+from msgspec import Struct, field
 
 from trigpoint.native.library import Handle, In, Kernel, Out
 
@@ -75,8 +75,7 @@ MOST_FOUND = 6400
 MOST_INDEX = 3
 
 
-@dataclass(frozen=True, slots=True)
-class Made:
+class Made(Struct, frozen=True):
     """Stands for an object of the core of that kind, made anew for each input."""
 
     kind: type[Handle]
@@ -137,8 +136,7 @@ def _is_free(value: object) -> bool:
     return not isinstance(value, np.ndarray) or value.dtype == np.uint8
 
 
-@dataclass(slots=True)
-class Draw:
+class Draw(Struct):
     """Draws arguments about one scene; `lengths`: of the call's letters."""
 
     rng: np.random.Generator

@@ -10,8 +10,10 @@ import threading
 import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
 from pathlib import Path
+
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from .child import Work
 from .inputs import drawn
@@ -28,8 +30,7 @@ OPTIONS = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Ending:
+class Ending(Struct, frozen=True):
     """How a child ended: `number` of the input it was at; `report` what it said, if that is bad."""
 
     number: int
@@ -46,8 +47,7 @@ class Ending:
         return named.group() if named else self.report[-200:]
 
 
-@dataclass(slots=True)
-class Found:
+class Found(Struct):
     """What all children did: how many inputs, how many of them ended badly, where."""
 
     inputs: int = 0

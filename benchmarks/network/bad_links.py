@@ -25,7 +25,6 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -33,6 +32,8 @@ from typing import Annotated
 
 import numpy as np
 import typer
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from benchmarks.timing import resident_mb
 from trigpoint.contract.access import Kind
@@ -60,8 +61,7 @@ port = "loop://"
 """
 
 
-@dataclass(frozen=True, slots=True)
-class Key:
+class Key(Struct, frozen=True):
     """What came of one key's messages. `rows`: number, when it was put and when it came, ns of the
     monotonic clock; `counted`: how many its subscriber was told to be lost."""
 
@@ -171,8 +171,7 @@ class Site:
         }
 
 
-@dataclass(frozen=True, slots=True)
-class Scenario:
+class Scenario(Struct, frozen=True):
     """What is done: `action` runs beside the nodes, with the site."""
 
     impairment: Impairment
@@ -283,8 +282,7 @@ def line(name: str, key: Key) -> str:
     )
 
 
-@dataclass(slots=True)
-class Restarts:
+class Restarts(Struct):
     """An action: the router's power is cut again and again. `returns_s`: when it was back; `sizes`:
     of the nodes just before each cut and at the end."""
 

@@ -54,7 +54,7 @@ _WATCH = """(seconds) => new Promise((done) => {
 })"""
 
 
-class _Paced(Truth):
+class _Paced(Truth, frozen=True):
     def robot(self, index: int, time_s: float) -> tuple[float, float, float]:
         return (time_s % _ROUND_M, 1.0, 0.0) if index == 0 else Truth.robot(self, index, time_s)
 

@@ -11,11 +11,11 @@ import socket
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
-from dataclasses import dataclass
 from multiprocessing import get_context
 
 import numpy as np
 import zenoh
+from msgspec import Struct
 
 from benchmarks.table import Row, share_of
 from trigpoint.bus.bus import Subscription
@@ -30,8 +30,7 @@ _STAMP_BYTES = 8
 _OUR_KEY, _BARE_KEY = "lab/camera/ours", "lab/camera/bare"
 
 
-@dataclass(frozen=True, slots=True)
-class Load:
+class Load(Struct, frozen=True):
     """`count` payloads of `size` bytes on a topic, each `pause_s` after the one before."""
 
     what: str

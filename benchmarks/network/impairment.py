@@ -17,7 +17,8 @@ import threading
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+
+from msgspec import Struct, field
 
 from trigpoint.base.closing import Closing
 
@@ -84,8 +85,7 @@ class Namespace:
         self._holder.communicate()
 
 
-@dataclass(frozen=True, slots=True)
-class Impairment:
+class Impairment(Struct, frozen=True):
     """Of one direction. `delay_s`: on the way; `loss`: the share of packets that are lost;
     `bits_per_s`: how fast they leave; `queue_s`: how long one may wait for that, else it is lost.
     """
@@ -96,8 +96,7 @@ class Impairment:
     queue_s: float = 0.1
 
 
-@dataclass(slots=True)
-class _Direction:
+class _Direction(Struct):
     source: int
     sink: int
     free_s: float = 0.0

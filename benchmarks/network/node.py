@@ -14,9 +14,10 @@ import threading
 import time
 from array import array
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from uuid import UUID
+
+from msgspec import Struct
 
 from trigpoint.base.ending import ENDING
 from trigpoint.bus.bus import Bus, Publisher, Sample, Subscription
@@ -33,8 +34,7 @@ _STAMP = struct.Struct("<Qq")
 PICTURE_BYTES = 60_000
 
 
-@dataclass(frozen=True, slots=True)
-class Sent:
+class Sent(Struct, frozen=True):
     """Messages of one key: how many a second, of how many bytes."""
 
     topic: Topic

@@ -5,11 +5,11 @@ Milliseconds a picture, faces found, corners against the projected truth.
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from functools import partial
 
 import cv2
 import numpy as np
+from msgspec import Struct, field
 
 from benchmarks.table import Row, share_of
 from benchmarks.timing import WorkClock, worked
@@ -44,8 +44,7 @@ _ROUNDS = 2
 _PERIOD_S = 0.1
 
 
-@dataclass(slots=True)
-class Run:
+class Run(Struct):
     """What one finder did over some views: seconds for each picture, and what it found."""
 
     seconds: list[float] = field(default_factory=list)

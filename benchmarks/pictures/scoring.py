@@ -1,9 +1,9 @@
 """What a finder found, held against the truth."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
 
 import numpy as np
+from msgspec import Struct, field
 
 from .views import TrueFace, View
 
@@ -11,8 +11,7 @@ from .views import TrueFace, View
 _NEAR_PX = 2.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Found:
+class Found(Struct, frozen=True, eq=False):
     """A face that a finder found: its id, or -1; `corners`: (n,) ids; `pixels`: (n, 2); `sigma`: of
     a coordinate as the finder says, None where it says nothing."""
 
@@ -22,8 +21,7 @@ class Found:
     sigma: float | None = None
 
 
-@dataclass(slots=True)
-class Score:
+class Score(Struct):
     """`whole`: faces that should be found; `found`: of these; `wrong`: found where none is.
 
     `errors`: the distance from the truth of each corner, pixels, by view, face and corner;

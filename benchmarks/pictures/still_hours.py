@@ -4,9 +4,9 @@ What happens is drawn by the seed alone; a state is advanced second by second.
 """
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
+from msgspec.structs import replace
 
 from .still_scene import Blob, Light, Stand, StillScene
 

@@ -5,10 +5,11 @@ rotation, and shifted with a depth that falls from the top to the bottom, as a f
 """
 
 import math
-from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 FOV_DEG = 60.0
 _MARGIN = 1.4
@@ -16,8 +17,7 @@ _MARGIN = 1.4
 _FAR_M, _NEAR_M = 6.0, 2.0
 
 
-@dataclass(frozen=True, slots=True)
-class Stand:
+class Stand(Struct, frozen=True):
     """How the camera stands otherwise than at first: degrees about the vertical, the level axis and
     the line of sight; and metres to the right."""
 
@@ -27,8 +27,7 @@ class Stand:
     shift_m: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class Light:
+class Light(Struct, frozen=True):
     """`level`: of the light, 1 by day; `gamma`, `offset`: of the picture's grey values; `lamps`:
     (n, 4) of pools of light, their places and radii in shares of the width and their strength."""
 
@@ -38,8 +37,7 @@ class Light:
     lamps: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))
 
 
-@dataclass(frozen=True, slots=True)
-class Blob:
+class Blob(Struct, frozen=True):
     """Something in the way: its middle and half axes, in shares of the width, and its looks."""
 
     x: float

@@ -1,10 +1,11 @@
 """Rendered pictures of the simulated lab with the true corners of the faces in them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from trigpoint.geometry.rotation import Array
 from trigpoint.site.target import Face, Target
@@ -18,8 +19,7 @@ SEED = 1
 LEAST_SQUARE_PX = 8.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class TrueFace:
+class TrueFace(Struct, frozen=True, eq=False):
     """`pixels`: (n, 2), where every corner is; `is_whole`: whether all can be seen, and their
     squares are large enough for a detector to be asked for them."""
 
@@ -28,8 +28,7 @@ class TrueFace:
     is_whole: bool
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class View:
+class View(Struct, frozen=True, eq=False):
     """A picture, (h, w) uint8, and the faces that turn their front to the camera."""
 
     picture: np.ndarray

@@ -1,16 +1,14 @@
 """Lenses as cameras that watch a room have them: wide, and fisheye to 180 degrees."""
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.geometry.rotation import Array
 
 _NEWTON_STEPS = 8
 
 
-@dataclass(frozen=True, slots=True)
-class WorldLens:
+class WorldLens(Struct, frozen=True):
     """A ray at an angle t from the axis is `focal_px` (t + bulge t³) from `middle`, pixels. A bulge
     of 1/3 is nearly a lens without distortion, 0 an even fisheye, less than 0 a stronger one."""
 

@@ -4,10 +4,9 @@ A photograph behind it, a wide lens or a fisheye, paper that curls, a reflection
 sharpening, JPEG. Each is a pure function of its kind and number.
 """
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.geometry.rotation import Array
 from trigpoint.site.target import NOWHERE, Face, Pattern, Target
@@ -33,8 +32,7 @@ _MARGIN_PX = 6
 _MEETINGS = 5
 
 
-@dataclass(frozen=True, slots=True)
-class Kind:
+class Kind(Struct, frozen=True):
     """`size`: of the picture; `diagonal_deg`, `bulge`: of the lens. `curl`: how far the paper is
     from flat at most, of its width; `sheen`: the most that a reflection adds, grey levels;
     `sharpening`: of an unsharp mask; `quality`: of the JPEG."""
@@ -90,8 +88,7 @@ def _view(face: Face, kind: Kind, random: _Random) -> View:
     return View(_developed(light, kind, random), (TrueFace(face, pixels, True),))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Sheet:
+class _Sheet(Struct, frozen=True, eq=False):
     """Where a face is. `turn`: (3, 3) and `place`: (3,) of the face frame in the camera's; `curl`:
     (3,) what x², xy and y² from its middle raise it by, a metre."""
 

@@ -7,10 +7,10 @@ all pictures as well as the true one, nobody can know where those cameras are. A
 the moment as known does not say so; studies ask here.
 """
 
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
+from msgspec.structs import replace
 
 from trigpoint.base.clock import to_ns
 from trigpoint.fusion.model.dataset import DataSet

@@ -6,10 +6,10 @@ elsewhere, nobody can know which it was, and so not where the camera is. A bound
 robots as known does not say so; studies ask here.
 """
 
-from dataclasses import replace
 from itertools import combinations, product
 
 import numpy as np
+from msgspec.structs import replace
 
 from trigpoint.base.clock import to_ns
 from trigpoint.fusion.model.dataset import DataSet

@@ -5,10 +5,10 @@ Everything is drawn from the world's own random streams, so a seed always gives 
 
 import copy
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
 
 import numpy as np
-from msgspec import structs
+from msgspec import Struct, field, structs
+from msgspec.structs import replace
 
 from trigpoint.contract.messages import FaceSighting
 from trigpoint.geometry import CameraModel, Pose
@@ -21,8 +21,7 @@ from trigpoint.tools.simulation.world import Shown, World
 _MOST_DRAWS = 100
 
 
-@dataclass(frozen=True, slots=True)
-class LensSpread:
+class LensSpread(Struct, frozen=True):
     """Standard deviations of a camera's true lens about the one that is told: focal lengths
     (relative), principal point (of the width), each distortion coefficient."""
 
@@ -37,8 +36,7 @@ class LensSpread:
         return np.array([*focal, *([self.distortion] * len(lens.distortion))])
 
 
-@dataclass(frozen=True, slots=True)
-class Disturbance:
+class Disturbance(Struct, frozen=True):
     """Nothing of it unless it is written.
 
     Of the world: `time_offset_s`, standard deviation of the cameras' time offsets; `lens`, of their

@@ -1,10 +1,10 @@
 """A simulated session in memory: the messages that an estimator gets, and what an oracle knows."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from operator import itemgetter
 
 import numpy as np
+from msgspec import Struct, field
 
 from trigpoint.base.clock import to_ns
 from trigpoint.contract.messages import Message, Odometry, Sightings
@@ -19,8 +19,7 @@ Views = dict[str, list[tuple[float, dict[str, list[SeenFace]]]]]
 """Of each camera: the times of its pictures and the faces of each robot in them, without noise."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Truth:
+class Truth(Struct, frozen=True, eq=False):
     """What an oracle knows of a session. `world`: as it truly was.
 
     `sighted`: (camera, stamp) to what each sighting of that picture shows, in the message's order.
@@ -55,8 +54,7 @@ class Truth:
         return self.world.map_from_base(robot, (np.asarray(stamps_ns) - EPOCH_NS) / 1e9)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Simulated:
+class Simulated(Struct, frozen=True, eq=False):
     """`messages`: (camera or robot, message) in the order in which they arrive."""
 
     messages: list[tuple[str, Message]]

@@ -1,9 +1,8 @@
 """The bound of a simulated session, from all that its simulator knows."""
 
-from dataclasses import replace
-
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from trigpoint.base.clock import to_ns
 from trigpoint.contract.messages import Odometry

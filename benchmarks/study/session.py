@@ -1,13 +1,13 @@
 """One simulated session of a situation: what the estimator gets, and what an oracle knows."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from msgspec import structs
+from msgspec import Struct, structs
+from msgspec.structs import replace
 
 from trigpoint.contract.messages import Message, Odometry, Sightings
 from trigpoint.fusion.model.known_cameras import KnownCameras
@@ -39,8 +39,7 @@ _FLOOR = 1e-8
 _PLAIN = Situation("a plain session", "drive")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class StudySession:
+class StudySession(Struct, frozen=True, eq=False):
     """`messages`: (camera or robot, message) in the order in which they are pushed."""
 
     name: str

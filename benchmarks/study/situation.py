@@ -1,9 +1,10 @@
 """What makes a situation: a world, what is wrong in it, and what the site file says of it."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from enum import Enum
 from typing import Literal
+
+from msgspec import Struct, field
 
 from .disturbance import Disturbance
 
@@ -16,8 +17,7 @@ class Known(Enum):
     ONE_MOVED = "all, but one hangs elsewhere by now"
 
 
-@dataclass(frozen=True, slots=True)
-class Goal:
+class Goal(Struct, frozen=True):
     """`efficiency` at most, `honesty` between these."""
 
     efficiency: float
@@ -28,8 +28,7 @@ PLAIN = Goal(1.03, (0.95, 1.05))
 HARDER = Goal(1.10, (0.9, 1.1))
 
 
-@dataclass(frozen=True, slots=True)
-class Situation:
+class Situation(Struct, frozen=True):
     """`title`: in a table. `world`: of the table in `worlds`. `target`: what all robots
     carry, if not what the world says.
 

@@ -8,12 +8,12 @@ import hashlib
 import multiprocessing
 from collections.abc import Iterator
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import TypeVar
 
 import msgspec
+from msgspec import Struct
 
 from benchmarks.compositions.recipe import KINDS
 from benchmarks.compositions.score import Score, scored
@@ -81,8 +81,7 @@ class Store:
         return self.folder / f"{situation}.jsonl"
 
 
-@dataclass(frozen=True, slots=True)
-class Job:
+class Job(Struct, frozen=True):
     """One session of a situation, or of a kind of composition."""
 
     situation: str

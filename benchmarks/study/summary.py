@@ -1,15 +1,14 @@
 """What many sessions of one situation say together, and how a page shows it."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from .measure import Measure
 
 
-@dataclass(frozen=True, slots=True)
-class Ratio:
+class Ratio(Struct, frozen=True):
     """The root of the mean of normalised squares, and its standard error; NaN of nothing."""
 
     value: float

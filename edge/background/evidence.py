@@ -7,9 +7,9 @@ way under each of the three is all that is assumed, and stated here.
 """
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.geometry.rotation import Array
 
@@ -48,8 +48,7 @@ _STILL, _MOVED = _table(_VISIBLE, _ODD), _table(_ODD, _VISIBLE)
 _HIDDEN = _table(*(np.array([share]) for share in _BY_CHANCE))
 
 
-@dataclass(frozen=True, slots=True)
-class Evidence:
+class Evidence(Struct, frozen=True):
     """`moved`: ln of how much likelier a comparison is where the camera was moved than under the
     likelier one of the other two; `still`: the same of standing still. The tiles' numbers: where
     they were, moved along, and neither."""

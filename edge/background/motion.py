@@ -1,9 +1,8 @@
 """How the whole picture moved between two pictures of one background."""
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.geometry.rotation import Array
 
@@ -15,8 +14,7 @@ _ITERATIONS = 200
 _LEAST_TILES = 4
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Motion:
+class Motion(Struct, frozen=True, eq=False):
     """`shift`: (2,) pixels, of the picture's middle; `roll`: radians; `zoom`: the relative growth.
 
     A turn about the vertical or the level axis, or a shift of the camera, shifts the picture; a

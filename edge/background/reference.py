@@ -1,8 +1,7 @@
 """What a camera's still background looks like: tiles, renewed while it stands still."""
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.geometry.rotation import Array
 
@@ -22,8 +21,7 @@ _MOST_ZOOM = 0.003
 """Nothing is learnt while the lens is focused further than this from where it was."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Comparison:
+class Comparison(Struct, frozen=True, eq=False):
     """`motion`: the likeliest one; `looked`: which tiles were looked at, `here`: which of those
     were where they belong."""
 

@@ -1,9 +1,8 @@
 """Tiles of a background: where they are found again in another picture, and how surely."""
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
+from msgspec import Struct
 from numpy.lib.stride_tricks import sliding_window_view
 
 from trigpoint.geometry.rotation import Array
@@ -26,8 +25,7 @@ _LEAST_CONTRAST = 2.0
 """Grey levels of the weaker gradient of a corner; below that a tile is noise."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Tiles:
+class Tiles(Struct, frozen=True, eq=False):
     """`middles`: (n, 2) whole pixels, x and y; `patches`: (n, 11, 11) float32."""
 
     middles: np.ndarray
@@ -41,8 +39,7 @@ class Tiles:
         return Tiles(self.middles[rows], self.patches[rows])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Matches:
+class Matches(Struct, frozen=True, eq=False):
     """Where tiles were found. `shifts`: (n, 2) pixels from a tile's own middle; `precisions`:
     (n, 2, 2), the inverse of their covariances; `is_inside`: (n,) whether it could be looked for;
     `is_found`: and was found."""

@@ -6,11 +6,11 @@ once, and all of them together decide.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import StrEnum
 
 import cv2
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.base.clock import to_ns
 from trigpoint.geometry.rotation import Array
@@ -50,8 +50,7 @@ class View(StrEnum):
     SUSPECTED = "suspected"
 
 
-@dataclass(frozen=True, slots=True)
-class Nudge:
+class Nudge(Struct, frozen=True):
     """A camera was moved after `until_ns`, when it last stood as before, and not after `since_ns`.
     `shift`: of its picture, (across, down) in shares of the width; `roll`: rad."""
 

@@ -8,10 +8,10 @@ squares (`evidence`): nothing assumes a lens, or flat paper.
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.edge.image.region import Region
 from trigpoint.edge.image.time_limit import IsOver, never
@@ -167,8 +167,7 @@ class CheckerboardDetector(FaceFinder):
         }
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Source:
+class _Source(Struct, frozen=True, eq=False):
     """What a searched picture was made of: a part of `grey`, `step` times smaller."""
 
     grey: np.ndarray

@@ -1,9 +1,8 @@
 """How likely it is that a checkerboard is where a fit has it, by the core
 (`native/src/boards/evidence.hpp`)."""
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.edge.registration.planar_fit import FIT, PlanarFit
 from trigpoint.geometry.rotation import Array
@@ -22,8 +21,7 @@ _WEIGHED = Kernel(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Evidence:
+class Evidence(Struct, frozen=True):
     """`board`: log odds of the board against clutter, nats; `ends`: the same of its end against a
     board that goes on, top, bottom, left and right, 0 where the picture ends before that;
     `is_board`: whether no doubt is left that it is there and is no part of a larger one."""

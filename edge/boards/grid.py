@@ -1,9 +1,8 @@
 """The grids that a picture's X corners form, found, cleaned and made whole by the compiled core
 (`native/src/boards`)."""
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.geometry.rotation import Array
 from trigpoint.native.library import Handle, In, Kernel, Out
@@ -28,8 +27,7 @@ _GROWN = Kernel("tp_grown", _Curvature, GRID, int, Out(np.float64, ("m", 5)))
 _MOST_GROWN = 8 * MOST_CORNERS
 
 
-@dataclass(frozen=True, slots=True)
-class Grid:
+class Grid(Struct, frozen=True):
     """A connected grid of corners.
 
     `places`: (n, 2) whole x and y, x × y pointing into the picture (never mirrored); `pixels`:

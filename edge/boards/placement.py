@@ -1,9 +1,9 @@
 """Where on a grid of corners a board lies, by the core (`native/src/boards/placement.hpp`)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.edge.registration.appearance import Appearance
 from trigpoint.edge.registration.planar_fit import FIT, PlanarFit
@@ -29,8 +29,7 @@ _PLACED = Kernel(
 _NO_FIT = np.zeros(FIT)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Placement:
+class Placement(Struct, frozen=True, eq=False):
     """A board on a grid. `ids`: (n,) of the board's corners; `pixels`: (n, 2) where they are;
     `rest`: the grid's other corners."""
 

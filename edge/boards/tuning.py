@@ -1,11 +1,10 @@
 """What a search for checkerboards is bounded by, each number with its reason; what X corners,
 grids, a place and its evidence are judged by is in the core (`native/src/boards`)."""
 
-from dataclasses import dataclass
+from msgspec import Struct
 
 
-@dataclass(frozen=True, slots=True)
-class CheckerboardTuning:
+class CheckerboardTuning(Struct, frozen=True):
     """All numbers of the search; pixels are those of the picture that is searched."""
 
     # Growth. Three by three corners predict those beside them both ways.

@@ -1,9 +1,9 @@
 """Parts of a picture, and which of them lie about the faces that are followed."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.geometry.rotation import Array
 
@@ -11,8 +11,7 @@ from trigpoint.geometry.rotation import Array
 AROUND_SHARE = 1.0
 
 
-@dataclass(frozen=True, slots=True)
-class Region:
+class Region(Struct, frozen=True):
     """Whole pixels of a picture, from `left` and `top` up to `right` and `bottom`, these not."""
 
     left: int

@@ -6,10 +6,10 @@ where the pictures allow 0.2, and it takes no weights.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array, exp
@@ -27,8 +27,7 @@ _SAME_COST = 1e-7
 LEAST_DEPTH = 0.01
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Scene:
+class Scene(Struct, frozen=True, eq=False):
     """The corners of all views in one row. `points`: (n, 3) in their faces' frames; `pixels`:
     (n, 2); `view`: (n,) which view each is in, rising; `begins`: (views,); `weight`: (n,) of a
     corner's square."""
@@ -57,8 +56,7 @@ class Scene:
         return tuple(np.split(values, self.begins[1:]))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Solution:
+class Solution(Struct, frozen=True, eq=False):
     """A lens with the views' poses, `rotation` (views, 3, 3) and `translation` (views, 3);
     `errors`: measured minus predicted, (n, 2); `cost`: half the weighted, robust sum of squares."""
 
@@ -168,8 +166,7 @@ def _in_camera(scene: Scene, turns: Array, places: Array) -> tuple[Array, Array]
     return turned, turned + places[scene.view]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Equations:
+class _Equations(Struct, frozen=True, eq=False):
     """Normal equations about a solution: of the poses (views, 6, 6) and (views, 6), of the lens
     (p, p) and (p,), and between them (views, 6, p)."""
 

@@ -8,9 +8,9 @@
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.base.errors import OperationError
 from trigpoint.geometry import CameraModel
@@ -36,8 +36,7 @@ _BAD_FACTOR = 6.0
 _LEAST_RMS_PX = 1e-3
 
 
-@dataclass(frozen=True, slots=True)
-class Rejected:
+class Rejected(Struct, frozen=True):
     """A view that the lens does not explain; `rms_px`: of its corners' distances; `is_double`: the
     board is in another place of that picture too, which the lens explains better."""
 
@@ -46,8 +45,7 @@ class Rejected:
     is_double: bool = False
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Calibration:
+class Calibration(Struct, frozen=True, eq=False):
     """A camera as its pictures say it is.
 
     `used`: the views that the fit is of; `spare`: how many more were good, but told nothing new;

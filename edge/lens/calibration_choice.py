@@ -8,9 +8,9 @@ view by view: another model must be better by more than two standard errors of t
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.geometry.camera import LensModel
 from trigpoint.geometry.rotation import Array
@@ -29,8 +29,7 @@ _FOLD_STEPS = 12
 _WORST_FACTOR = 10.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Candidate:
+class Candidate(Struct, frozen=True, eq=False):
     """A model that was tried. `held_out`: mean squared error of a coordinate in each view when the
     lens was fitted without it, px², (views,); infinite where no lens could be fitted."""
 

@@ -4,9 +4,9 @@ Whoever reads the file takes the lens as known, so what the pictures do not tell
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
@@ -33,8 +33,7 @@ _MOST_RESIDUAL = 1e-3
 _SAME_SLANT_DEG = 12.0
 
 
-@dataclass(frozen=True, slots=True)
-class Doubt:
+class Doubt(Struct, frozen=True):
     """`what` is not determined: `why`, and what to `do`."""
 
     what: str

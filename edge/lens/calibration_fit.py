@@ -1,9 +1,9 @@
 """One lens model fitted to views, and how well a lens fits other views."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.camera import LensModel
@@ -17,8 +17,7 @@ _SEEN = 0.99
 _POSE_STEPS = 20
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Fit:
+class Fit(Struct, frozen=True, eq=False):
     """A camera and where each view's face was; `errors`: measured minus predicted, (n, 2) each."""
 
     camera: CameraModel
@@ -37,8 +36,7 @@ class Fit:
         return np.array([np.sqrt(np.mean(np.sum(error**2, axis=1))) for error in self.errors])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Placed:
+class Placed(Struct, frozen=True, eq=False):
     """Where a view's face was; `error`: measured minus predicted, (n, 2)."""
 
     camera_from_face: Pose

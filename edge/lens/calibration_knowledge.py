@@ -13,9 +13,9 @@ board that is not flat, moves all corners of a view together, so views are what 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.geometry.rotation import Array
 
@@ -32,8 +32,7 @@ _LEAST = 1e-15
 _MOST_SMALL_SAMPLE = 2.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Knowledge:
+class Knowledge(Struct, frozen=True, eq=False):
     """`sigma`: of the camera's `parameters`, (p,); `noise_px`: of one coordinate, from the
     residuals; `disagreement`: by how much views differ more than corners scatter (1: not at all; a
     bent board makes it 2 or 3). `sigma` is with that."""

@@ -6,9 +6,9 @@ polynomials begin at the radial profile of the equidistant lens that was fitted.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.camera import LensModel
@@ -29,8 +29,7 @@ _WIDEST_RAD = np.radians(80.0)
 _PROFILE_POINTS = 60
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Guess:
+class _Guess(Struct, frozen=True, eq=False):
     """A lens that is supposed, the poses of those views that it has a place for, and how far the
     median corner is off."""
 

@@ -1,9 +1,9 @@
 """From sightings to views: what a calibration of the lens knows of one face in one picture."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.contract.messages import FaceSighting
 from trigpoint.geometry.rotation import Array
@@ -13,8 +13,7 @@ FEWEST_CORNERS = 8
 _FLATTEST = 0.05
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class View:
+class View(Struct, frozen=True, eq=False):
     """One face in one picture.
 
     `points`: (n, 3) in the face's frame, metres, z = 0; `pixels`: (n, 2) float64, raw; `sigma`: of

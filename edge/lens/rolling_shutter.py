@@ -5,9 +5,9 @@ that is fitted to bent boards is wrong. How fast each corner moves, the picture 
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
+from msgspec.structs import replace
 
 from trigpoint.base.clock import to_seconds
 from trigpoint.contract.messages import FaceSighting

@@ -6,9 +6,8 @@ the file has there: another marker, or one beyond the board's edge, says that th
 nothing at all says little, since a hand hides markers too.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.edge.registration.measurement import Measured
 from trigpoint.geometry.rotation import Array
@@ -29,8 +28,7 @@ _SURELY, _HARDLY, _PROBABLY = 0.85, 0.25, 0.5
 _MOST_FOREIGN = 1
 
 
-@dataclass(frozen=True, slots=True)
-class Contradictions:
+class Contradictions(Struct, frozen=True):
     """`agreeing`: markers where the file has them; `elsewhere`: the file's dictionary's at other
     places; `foreign`: what is like a marker where the file has one, and is not it."""
 

@@ -1,8 +1,7 @@
 """A look with markers, and how a group of its markers becomes a sighting."""
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.edge.image.time_limit import IsOver, never
 from trigpoint.edge.registration.appearance import Appearance
@@ -38,8 +37,7 @@ MOST_SCATTER_PX = 0.04
 _LEAST_OF_FEW = {1: 0.8, 2: 0.7, 3: 0.6}
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MarkedBoard:
+class MarkedBoard(Struct, frozen=True, eq=False):
     """`layout`: (m, 4, 2) corners of the markers in the face frame by number, metres, clockwise
     from the marker's own top left; `variant`: which of the ways to print the look this is;
     `least_markers`: how many must agree on it; `finer`: the same where the picture shows more."""

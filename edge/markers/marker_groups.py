@@ -1,9 +1,8 @@
 """Puts markers that may be right together to boards: those that agree on where the board lies."""
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.edge.image.time_limit import IsOver, never
 from trigpoint.geometry.rotation import Array
@@ -27,8 +26,7 @@ MOST_MARKERS = 400
 MOST_SEEDS = 64
 
 
-@dataclass(frozen=True, slots=True)
-class MarkerGroup:
+class MarkerGroup(Struct, frozen=True):
     """Markers of one board in one place. `numbers`: (k,); `corners`: (k, 4, 2) pixels; `quads`:
     (k,) which quadrilaterals; `weight`: the sum of scores, to choose among groups that share any.
     """

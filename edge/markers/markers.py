@@ -6,11 +6,11 @@ is then a marker is settled by several of them agreeing on one board.
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from functools import cache
 
 import cv2
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.edge.image.sampling import sampled
 from trigpoint.edge.registration.dictionaries import dictionary_of, predefined_dictionary
@@ -23,8 +23,7 @@ from .quads import mapped, square_to_quads
 LEAST_CONTRAST = 5.0
 
 
-@dataclass(frozen=True, slots=True)
-class Markers:
+class Markers(Struct, frozen=True):
     """What quadrilaterals could be as markers of one face.
 
     `numbers`: (n,) counted from the face's first; `corners`: (n, 4, 2) pixels, clockwise from the

@@ -6,12 +6,12 @@ view, and more than the file itself explains. Nothing is guessed: such a board s
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache
 from math import comb, log
 
 import cv2
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.edge.registration.appearance import Appearance
 from trigpoint.edge.registration.dictionaries import predefined_dictionary
@@ -93,8 +93,7 @@ class MisdescribedBoards:
         return read >= _fewest(other.face) and read > scene.read(other.look.face)
 
 
-@dataclass(frozen=True, slots=True)
-class _Shown:
+class _Shown(Struct, frozen=True):
     """A picture, its negative, or the mirror image of one, with its dark quadrilaterals (n, 4, 2);
     `scores`: theirs, by reader."""
 

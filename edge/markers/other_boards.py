@@ -1,10 +1,10 @@
 """Boards that people may mean when they describe another one, and what they should write."""
 
 from collections.abc import Container, Iterator, Sequence
-from dataclasses import dataclass
 from itertools import zip_longest
 
 import cv2
+from msgspec import Struct
 from msgspec.structs import replace
 
 from trigpoint.base.errors import TargetError
@@ -13,8 +13,7 @@ from trigpoint.edge.registration.dictionaries import dictionary_of
 from trigpoint.site.target import Face, Numbering, Pattern
 
 
-@dataclass(frozen=True, slots=True)
-class Other:
+class Other(Struct, frozen=True):
     """A board that may be meant by a look. `change`: what differs, as the target file has it, none
     where the picture is mirrored."""
 

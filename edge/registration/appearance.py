@@ -1,16 +1,15 @@
 """The looks of faces: what can be told apart in a picture, and whose it is."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.contract.messages import FaceSighting
 from trigpoint.site.target import Face, Target
 
 
-@dataclass(frozen=True, slots=True)
-class Appearance:
+class Appearance(Struct, frozen=True):
     """One look that a face can have, and whose it is.
 
     `target`: the target's name, "" where several robots carry the look; `face_id`: the face's id,

@@ -5,13 +5,12 @@ alike. Legendre polynomials of the face's coordinates take that up (`native/src/
 their constant and linear parts are the homography's.
 """
 
-from dataclasses import dataclass
+from msgspec import Struct
 
 from trigpoint.geometry.rotation import Array
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Bend:
+class Bend(Struct, frozen=True, eq=False):
     """A smooth displacement over a face. `middle`, `half`: (2,) of the part of the face that it was
     fitted to; `degree`: of its polynomials, 2 to 4; `values`: (12, 2) of these, pixels."""
 

@@ -1,9 +1,9 @@
 """What a face has around its corners, as it is printed; for the core to measure them by."""
 
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.geometry.rotation import Array
 from trigpoint.native.library import Handle, In, Kernel
@@ -23,8 +23,7 @@ _SET = Kernel("tp_pattern_set", Print, _POINTS, _POINTS, float, float)
 _PRINT = Kernel("tp_pattern_print", Print, In(np.uint8, ("h", "w")), float, float, float)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CornerPattern:
+class CornerPattern(Struct, frozen=True, eq=False):
     """What a face has around its corners. `points`: (n, 2) corners in the face frame; `reach`: how
     far from a corner along both axes is looked at, metres; `outward`: (n, 2) signs of the axes'
     directions of a sector that may be printed or not (Kalibr has squares there), 0 without one;

@@ -1,9 +1,8 @@
 """From about where a face lies to its corners, with their sigma: measured by the core
 (`native/src/registration`)."""
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.contract.messages import FaceSighting
 from trigpoint.edge.image.median import median
@@ -37,8 +36,7 @@ _MEASURED = Kernel(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Measured:
+class Measured(Struct, frozen=True):
     """Corners of one face. `corners`: (n,) ids, rising; `pixels`: (n, 2); `sigma`: of a coordinate;
     `blur`: of the picture there; `fit`: the plane through them."""
 
@@ -49,8 +47,7 @@ class Measured:
     fit: PlanarFit
 
 
-@dataclass(frozen=True, slots=True)
-class Located:
+class Located(Struct, frozen=True):
     """A face that was found: its look, and where its corners are; `variant`: which of the ways to
     print that look the finder took it for."""
 

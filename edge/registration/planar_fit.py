@@ -6,9 +6,9 @@ beyond, and is inverted without a search. What both leave, because the lens is a
 is not flat, a smooth `Bend` takes up.
 """
 
-from dataclasses import dataclass, field, replace
-
 import numpy as np
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from trigpoint.geometry.rotation import Array
 from trigpoint.native.library import In, Kernel, Out
@@ -23,8 +23,7 @@ _PROJECT = Kernel(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class PlanarFit:
+class PlanarFit(Struct, frozen=True):
     """How face coordinates (metres) become pixels.
 
     `homography`: (3, 3), face to undistorted pixels taken from the lens's centre in units of

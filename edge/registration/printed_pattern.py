@@ -1,10 +1,10 @@
 """What is printed on a face, as a picture in the face's own coordinates."""
 
-from dataclasses import dataclass
 from functools import cache
 
 import cv2
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.geometry.rotation import Array
 from trigpoint.site.target import Face, Pattern
@@ -18,8 +18,7 @@ _MARGIN_SQUARES = 1
 _LIGHT = 255
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PrintedPattern:
+class PrintedPattern(Struct, frozen=True, eq=False):
     """A face as it is printed. `texels`: (h, w) uint8, 0 dark and 255 light; the face point (x, y)
     lies at texel (x, y) · `scale` + `offset` (2,), where whole numbers are texels'
     centres."""

@@ -5,7 +5,6 @@ Further schemes are plug-ins: entry points of the group `trigpoint.frames` whose
 
 import threading
 from collections.abc import Callable, Collection, Iterator
-from dataclasses import dataclass
 from difflib import get_close_matches
 from enum import StrEnum
 from importlib.metadata import EntryPoint, entry_points
@@ -14,6 +13,7 @@ from typing import Protocol
 from urllib.parse import parse_qsl
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.base.clock import Clock
 from trigpoint.base.errors import InputError
@@ -42,8 +42,7 @@ class Stamp(StrEnum):
     SENDER = "by the sender's clock"
 
 
-@dataclass(frozen=True, slots=True)
-class Frame:
+class Frame(Struct, frozen=True):
     """One picture. `picture`: grey or BGR as OpenCV's, (height, width) or (height, width, 3) of any
     depth, which the agent scales to 8 bits; `captured_ns`: middle of exposure, Unix time on this
     machine's clock.

@@ -6,10 +6,10 @@ streams queue: whoever reads slowly would see the past.
 
 import threading
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
+from msgspec.structs import replace
 
 from trigpoint.base.clock import Clock, to_ns
 from trigpoint.base.errors import FrameError, TrigpointError

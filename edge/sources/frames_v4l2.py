@@ -7,10 +7,10 @@ given is fixed, and half of it is taken off the stamps; without one the camera c
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
+from msgspec import Struct
 
 from trigpoint.base.clock import Clock, to_ns
 from trigpoint.base.errors import FrameError, InputError
@@ -29,8 +29,7 @@ _SELECT_TIMEOUT = "OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT"  # seconds; 10 unless told
 _DEEP = tuple(int.from_bytes(name, "little") for name in (b"Y16 ", b"Y12 ", b"Y10 "))
 
 
-@dataclass(frozen=True, slots=True)
-class Options:
+class Options(Struct, frozen=True):
     """What a URL says of a camera beyond its device."""
 
     exposure_ms: float | None = None
@@ -59,7 +58,7 @@ class V4l2Frames(LiveFrames):
 
 def parse_url(url: str) -> tuple[Path, Options]:
     """The device and the options; a bare number n is /dev/videon. Raises InputError."""
-    place, words = place_and_options(url, Options.__dataclass_fields__)
+    place, words = place_and_options(url, Options.__struct_fields__)
     device = Path(f"/dev/video{place}" if place.isdigit() else place)
     return device, Options(
         exposure_ms=_number(device, words, "exposure_ms"),

@@ -7,7 +7,8 @@ which the picture can have been taken, it is the better one.
 """
 
 from collections import deque
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from trigpoint.base.clock import to_ns
 
@@ -24,8 +25,7 @@ _KEEPING_PACE = 3
 _PACE = 0.5
 
 
-@dataclass(frozen=True, slots=True)
-class Arrival:
+class Arrival(Struct, frozen=True):
     """A picture's presentation time, its arrival by a monotonic clock, and where known the sender's
     Unix time of it; nanoseconds. `unix_ns`: what to add to the monotonic clock for Unix time."""
 

@@ -7,8 +7,9 @@ import fcntl
 import os
 import struct
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
+
+from msgspec import Struct
 
 _CAPTURE = 1  # V4L2_BUF_TYPE_VIDEO_CAPTURE
 _DISCRETE = 1
@@ -18,8 +19,7 @@ _FORMAT_BYTES, _SIZE_BYTES, _INTERVAL_BYTES = 64, 44, 52
 Ioctl = Callable[[int, int, bytearray], int]
 
 
-@dataclass(frozen=True, slots=True)
-class Offer:
+class Offer(Struct, frozen=True):
     """One format at one size, and the most pictures a second; 0 where that is not told."""
 
     format: str

@@ -1,8 +1,7 @@
 """Which modes of two visits put a camera at one place, judged before solving each pair's graph."""
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
@@ -26,8 +25,7 @@ _EXACTLY, _NO_EVIDENCE = np.zeros((1, 6, 6)), np.zeros(1)
 _APART = np.zeros((6, 6))
 
 
-@dataclass(frozen=True, slots=True)
-class Seen:
+class Seen(Struct, frozen=True):
     """Where the modes (k) of a visit put their camera in the map: `pose` (k), with the covariance
     `own` (k, 6, 6) that the modes add to that of the unknowns in `rows` (r,), by which its
     derivative is `by_unknowns` (k, 6, r)."""

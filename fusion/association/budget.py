@@ -8,8 +8,9 @@ and what is undecided then is left undecided.
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Self
+
+from msgspec import Struct
 
 from trigpoint.base.clock import to_seconds
 from trigpoint.fusion.model.odometry import OdometryTrack
@@ -46,8 +47,7 @@ _LINK = 5.0
 _LEARNT = 0.0004
 
 
-@dataclass(slots=True)
-class Budget:
+class Budget(Struct):
     """`allowed` units of work, and how many are `spent`. Not thread-safe."""
 
     allowed: float = math.inf

@@ -8,9 +8,8 @@ the beginning, so that these outliers do not bias the mode that it leads to. (RA
 every sample is tried and each is judged by its own covariance; Fischler and Bolles, 1981.)
 """
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.fusion.model.assembly import lens_sigmas
 from trigpoint.fusion.model.dataset import DataSet
@@ -51,8 +50,7 @@ _COSTS = Kernel(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Start:
+class Start(Struct, frozen=True):
     """A camera pose to start from. `wrong`: by index of a picture, which of its views are taken to
     be wrong."""
 
@@ -60,8 +58,7 @@ class Start:
     wrong: dict[int, tuple[bool, ...]]
 
 
-@dataclass(frozen=True, slots=True)
-class Ways:
+class Ways(Struct, frozen=True):
     """All ways (n) to read single sightings, each by itself.
 
     `sighting` (n,), `picture` (n,): which ones a way is of; `camera_from_base` (n): the pose that

@@ -5,9 +5,8 @@ verifies the best one (`world`), and derives from all of them what is known of e
 (`outcome`).
 """
 
-from dataclasses import replace
-
 import numpy as np
+from msgspec.structs import replace
 
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import Observation

@@ -7,9 +7,9 @@ what is not worth a look, or what is too small to matter.
 """
 
 import math
-from dataclasses import dataclass, field
 
 import numpy as np
+from msgspec import Struct, field
 
 from trigpoint.geometry.chi_square import chi2_limit
 from trigpoint.geometry.rotation import Array
@@ -19,8 +19,7 @@ from trigpoint.site.config import PriorConfig
 EVIDENCE = 1e-5
 
 
-@dataclass(frozen=True, slots=True)
-class Events:
+class Events(Struct, frozen=True):
     """The scores of what may happen, from the site's `priors`."""
 
     priors: PriorConfig = field(default_factory=PriorConfig)

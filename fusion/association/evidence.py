@@ -2,9 +2,9 @@
 `EVIDENCE` of the posterior put it at one place."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
@@ -20,8 +20,7 @@ _SAME_M = 0.01
 _SAME_RAD = 0.01
 
 
-@dataclass(frozen=True, slots=True)
-class Place:
+class Place(Struct, frozen=True):
     """Where one explanation puts a camera, with its `covariance` (6, 6); `score`: of the
     explanation."""
 

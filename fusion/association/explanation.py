@@ -1,8 +1,7 @@
 """The result of data association: what is taken to have happened in a session, as plain values."""
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.fusion.model.dataset import CameraMove, Lift
 from trigpoint.fusion.model.observations import Observation, Reading
@@ -13,8 +12,7 @@ from trigpoint.geometry.rotation import Array
 from .noise import Noise
 
 
-@dataclass(frozen=True, slots=True)
-class Alternative:
+class Alternative(Struct, frozen=True):
     """One place where a camera may be. `covariance` (6, 6): of the pose; `probability`: its share
     of the posterior; `spread` (6, 6): the second moment, about this pose, of the poses of all
     explanations that count as this place."""
@@ -25,8 +23,7 @@ class Alternative:
     spread: Array
 
 
-@dataclass(frozen=True, slots=True)
-class CameraFinding:
+class CameraFinding(Struct, frozen=True):
     """Where one camera is at the end of the session. `alternatives`: the fewest places that
     together hold all but the level of evidence of the posterior, best first; `reason`: why the
     camera is not located, in words; empty if it is."""
@@ -39,8 +36,7 @@ class CameraFinding:
         return not self.reason and len(self.alternatives) == 1
 
 
-@dataclass(frozen=True, slots=True)
-class Read:
+class Read(Struct, frozen=True):
     """How one observation is read. `readings`: one for each view, None for a wrong one; `wild`:
     which corners of each view are wild; `map_from_base`: where the robot stood, None if unknown;
     `place`: the number of the camera's place."""
@@ -51,8 +47,7 @@ class Read:
     place: int
 
 
-@dataclass(frozen=True, slots=True)
-class Explanation:
+class Explanation(Struct, frozen=True):
     """The likeliest explanation of a session, with the alternatives that remain open.
 
     `observations`: in the order given, their corners' noise as learnt; `reads`: one for each;

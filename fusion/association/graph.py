@@ -8,9 +8,9 @@ minimum, `minimum`), so that explanations of different dimension are comparable.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.base.clock import to_ns
 from trigpoint.fusion.model.assembly import lens_sigmas
@@ -33,16 +33,14 @@ Break = tuple[str, int]
 """A robot and the node after which it was lifted."""
 
 
-@dataclass(frozen=True, slots=True)
-class Tie:
+class Tie(Struct, frozen=True):
     """The hypothesis for a visit that is used: one of its modes, at one place of its camera."""
 
     mode: int
     place: int
 
 
-@dataclass(frozen=True, slots=True)
-class Layout:
+class Layout(Struct, frozen=True):
     """The rows of a graph's `size` unknowns: by robot of its `nodes` (n, d) and odometry `scales`
     (2,), of each place (6,), and by camera of its `own` unknowns (lens, clock). Of its poses, all
     robots' nodes and then the places: each robot's `first`, and where each place is (`at`)."""
@@ -56,8 +54,7 @@ class Layout:
     at: dict[Place, int]
 
 
-@dataclass(frozen=True, slots=True)
-class Placed:
+class Placed(Struct, frozen=True):
     """A graph at its minimum, with its `score`. `poses` (n, 12): rows of the robots at the
     beginnings of their visits and of the cameras, as in `layout`; `ties`, `breaks`: of its variant;
     `factor`: of the information matrix, whose rows are those of `layout`."""
@@ -82,8 +79,7 @@ class Placed:
         return self.factor.covariance(rows)
 
 
-@dataclass(frozen=True, slots=True)
-class Variant:
+class Variant(Struct, frozen=True):
     """A hypothesis whose graph is to be solved. `ties`: by number, the visits that are used;
     `nothing`: those all of whose sightings are wrong; `breaks`: the lifts; `near`: a similar graph
     at its minimum, to start from."""

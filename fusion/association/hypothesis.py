@@ -1,12 +1,11 @@
 """One explanation of the visits so far."""
 
-from dataclasses import dataclass, field
+from msgspec import Struct, field
 
 from .graph import Break, Placed, Tie, Variant
 
 
-@dataclass(frozen=True, slots=True)
-class Hypothesis:
+class Hypothesis(Struct, frozen=True):
     """One explanation of the visits so far.
 
     `ties`: by number, the visits that tie a robot to a place in the graph; `open`: by number, the

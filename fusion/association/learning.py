@@ -1,8 +1,8 @@
 """Learns the noise of a session from its observations: of each camera's corners and each robot."""
 
-from dataclasses import dataclass, replace
-
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import Observation
@@ -21,8 +21,7 @@ from .visits import Visit, telling, telling_of_lenses, visits_of
 _MOST_SCATTERS = 40
 
 
-@dataclass(frozen=True, slots=True)
-class SessionNoise:
+class SessionNoise(Struct, frozen=True):
     """A hypothesis of the noise of each robot, and the score of its prior."""
 
     by_robot: dict[str, Noise]

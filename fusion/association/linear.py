@@ -1,10 +1,10 @@
 """A visit linearised: where each part of its pictures by itself puts the robot."""
 
-from dataclasses import dataclass
 from typing import Self
 
 import msgspec
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.odometry import PARTS
@@ -35,8 +35,7 @@ _LINEARISED = Kernel(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Linear:
+class Linear(Struct, frozen=True):
     """A visit's linear equations. The unknowns are the robot's poses (d) at the visit's m + 1
     nodes, but for the first, which is held, and what all equations may share: `others` (q), the
     first six of which are the camera's pose.
@@ -76,8 +75,7 @@ class Linear:
         return *parts, self.steps, self.by_earlier, self.by_later, self.steps_by_others, self.prior
 
 
-@dataclass(frozen=True, slots=True)
-class _Columns:
+class _Columns(Struct, frozen=True):
     """The dense columns of one camera and robot in a problem, the camera's `own` first, and then
     those of the robot's scales and faces: `every` (q,)."""
 

@@ -6,9 +6,8 @@ each hypothesis (which of the sightings so far are wrong) is a Kalman filter of 
 of the camera; the likeliest hypotheses are carried on from sighting to sighting.
 """
 
-from dataclasses import replace
-
 import numpy as np
+from msgspec.structs import replace
 
 from trigpoint.fusion.model.jitter import Jitter
 from trigpoint.native.library import In, Kernel, Out

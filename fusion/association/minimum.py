@@ -2,9 +2,9 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.geometry.pose import rows_of
 from trigpoint.geometry.rotation import Array
@@ -37,8 +37,7 @@ MINIMUM = Kernel(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class _Terms:
+class _Terms(Struct, frozen=True):
     """What is the same in all graphs of a layout: the unknowns of each pose, -1 where a direction
     is held (`pose_rows` (n, 6)); the priors on poses (`absolute`); of the values (scale errors,
     then the cameras' own unknowns) the bounds, rows, prior means and information, and where each
@@ -55,8 +54,7 @@ class _Terms:
     constant: float
 
 
-@dataclass(frozen=True, slots=True)
-class _Way:
+class _Way(Struct, frozen=True):
     """The motions (m) between one robot's nodes: by odometry, or by a visit that shows one more
     precisely; where the robot was lifted, by a visit alone, if one shows it. `terms`: as the core
     takes them; `score`: what their noise adds."""

@@ -1,8 +1,8 @@
 """How improbable a visit is under a noise model, and in which of its steps an event is likelier."""
 
-from dataclasses import dataclass, replace
-
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from trigpoint.fusion.model.jitter import Jitter
 from trigpoint.fusion.model.odometry import PLANAR, SPATIAL
@@ -25,8 +25,7 @@ _MISFIT = Kernel(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Misfit:
+class Misfit(Struct, frozen=True):
     """How improbable a visit is under a noise model: `value`, -2 ln of its restricted likelihood up
     to a constant, infinite where the visit determines none; `by_noise` (5,): its derivatives by the
     logarithms of the model's numbers, in their order; `by_step` (m,): by how much χ² is lower

@@ -1,8 +1,7 @@
 """A mode of one visit: a pose of its camera that the visit allows, and all that goes with it."""
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.fusion.model.observations import Reading
 from trigpoint.fusion.model.problem import CameraState
@@ -13,8 +12,7 @@ from trigpoint.geometry.uncertainty import relative_jacobians
 from .visits import Visit
 
 
-@dataclass(frozen=True, slots=True)
-class Mode:
+class Mode(Struct, frozen=True):
     """One local optimum of a visit's posterior: a pose of the camera and all that goes with it.
 
     `map_from_camera`: in the frame in which odometry puts the robot (the robot's pose in the first
@@ -68,8 +66,7 @@ class Mode:
         return sum(any(reading is not None for reading in row) for row in self.readings.values())
 
 
-@dataclass(frozen=True, slots=True)
-class VisitModes:
+class VisitModes(Struct, frozen=True):
     """A visit with its modes, best first. `nothing`: the score if all of its sightings are wrong;
     `right`: (stamp_ns, index) of the chosen pictures in which every mode has a right sighting."""
 

@@ -1,7 +1,9 @@
 """The noise of odometry and of the robot's pose in pictures that the site file does not state."""
 
 import math
-from dataclasses import dataclass, replace
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from trigpoint.fusion.model.jitter import Jitter
 
@@ -18,8 +20,7 @@ LEAST = 1e-3
 _STEP = 0.1
 
 
-@dataclass(frozen=True, slots=True)
-class Noise:
+class Noise(Struct, frozen=True):
     """The noise of one robot.
 
     `tilt` (rad), `sway` (m): standard deviations, in each picture, of the robot's rotation about

@@ -1,9 +1,9 @@
 """Combines all worlds of a session and holds each camera against the one rule of evidence."""
 
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
+from msgspec.structs import replace
 
 from trigpoint.fusion.model.dataset import CameraMove, Lift
 from trigpoint.fusion.model.observations import Observation

@@ -7,10 +7,11 @@ see at the same time would tell their relative pose no better than odometry does
 visits' first pictures.
 """
 
-from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.odometry import PLANAR, SPATIAL
@@ -29,8 +30,7 @@ _SCALE_STEP = 0.01
 _LEAST_OWN = 1e-3
 
 
-@dataclass(frozen=True, slots=True)
-class Steps:
+class Steps(Struct, frozen=True):
     """Motions (m) between a robot's nodes at scale errors `about` (2,), and their derivatives by
     these (m, 6, 2)."""
 
@@ -76,8 +76,7 @@ class RobotPath:
         return self._steps[cell]
 
 
-@dataclass(frozen=True, slots=True)
-class VisualStep:
+class VisualStep(Struct, frozen=True):
     """A robot's motion between two nodes as visit `number` shows it, with its derivative (6, 2) by
     the odometry's scale errors, its information (d, d) and ln |covariance|. `surprise`: where
     odometry broke on the way, the part of the visit's own score that is due to that odometry."""
@@ -90,8 +89,7 @@ class VisualStep:
     surprise: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class Way:
+class Way(Struct, frozen=True):
     """What odometry and visits tell of a path's steps (m): their `information` (m, d, d) and
     ln |covariance| (m,); the `steps` (k,) that visits show, with `motion` (k) and `by_scale`
     (k, 6, 2)."""
@@ -220,8 +218,7 @@ def _visual_step(
     return VisualStep(number, whole.pose, whole.by_scale, information, log_covariance)
 
 
-@dataclass(frozen=True, slots=True)
-class _Step:
+class _Step(Struct, frozen=True):
     """A motion, its covariance (6, 6), and its derivative (6, 2) by scale errors."""
 
     pose: Pose

@@ -1,9 +1,10 @@
 """Finds which of several robots with equal targets a camera saw, by how each of them drove."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import Observation, Reading, View, observation_of
@@ -22,8 +23,7 @@ from .visits import visit_of, visits_of
 _MOST_VIEWS = 6
 
 
-@dataclass(frozen=True, slots=True)
-class Picture:
+class Picture(Struct, frozen=True):
     """One picture. `faces`: for each that it shows, the view by every robot that may carry it."""
 
     stamp_ns: int
@@ -38,8 +38,7 @@ class Picture:
         return Picture(self.stamp_ns, tuple(self.faces[order] for order in faces))
 
 
-@dataclass(frozen=True, slots=True)
-class RobotFit:
+class RobotFit(Struct, frozen=True):
     """How one robot's odometry explains a visit, wherever the camera may be.
 
     `gain`: by how much the score is better than with all sightings wrong; `pictures`: those that

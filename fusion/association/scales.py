@@ -6,10 +6,9 @@ corrected by them. No association is decided here, and the estimates assume twic
 where no visit tells the scales, the prior stays.
 """
 
-from dataclasses import replace
-
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import Observation

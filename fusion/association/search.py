@@ -7,11 +7,12 @@ where no pair agrees well, also that the robot was lifted in one of the gaps bef
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
 from itertools import islice, pairwise, product
 from weakref import WeakKeyDictionary
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from .agreement import agreement
 from .budget import Budget
@@ -34,8 +35,7 @@ _MOST_BREAKS = 3
 _MOST_PAIRS = 24
 
 
-@dataclass(frozen=True, slots=True)
-class _Join:
+class _Join(Struct, frozen=True):
     """A visit that may be tied to a place that its camera already has. `before`: the hypothesis
     without that visit; `there`: the visits to this place so far."""
 

@@ -1,8 +1,7 @@
 """Applies the noise learnt from a session to its data set: jitter and the noise of odometry."""
 
-from dataclasses import replace
-
 import msgspec
+from msgspec.structs import replace
 
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.odometry import PARTS

@@ -2,9 +2,10 @@
 score if it is wrong."""
 
 import math
-from dataclasses import dataclass, replace
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from trigpoint.fusion.model.observations import Observation, View, face_points, swept
 from trigpoint.fusion.reading.planar_pose import PoseFit, planar_poses
@@ -40,8 +41,7 @@ _WITHOUT_WILD = Kernel(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Alone:
+class Alone(Struct, frozen=True):
     """What one view says by itself.
 
     `wrong_score`: the score if the view is wrong, of a board that is somewhere else; `evidence`:

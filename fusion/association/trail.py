@@ -7,9 +7,10 @@ was kept before that visit.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
@@ -22,8 +23,7 @@ from .hypothesis import Hypothesis
 _LAST, _EVERY = 48, 8
 
 
-@dataclass(frozen=True, slots=True)
-class _Stage:
+class _Stage(Struct, frozen=True):
     """What was kept after some visits: hypotheses without their graphs, and of each of these the
     layout and the poses; by robot, when its nodes were; whether some were cut (`Search`)."""
 

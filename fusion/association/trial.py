@@ -1,10 +1,11 @@
 """A visit on the way to one of its modes: how each of its sightings is read, which are wrong, and
 the problem that these make, all of which the core changes round by round (`visit.cpp`)."""
 
-from dataclasses import dataclass, replace
 from enum import IntEnum, IntFlag
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from trigpoint.fusion.model.assembly import Assembled, assemble
 from trigpoint.fusion.model.dataset import DataSet, Entry
@@ -64,8 +65,7 @@ class Ending(IntEnum):
     JUDGED_OTHERWISE = 2
 
 
-@dataclass(frozen=True, slots=True)
-class Tables:
+class Tables(Struct, frozen=True):
     """A visit's problem with one `clock` (2,), its offset and drift: `node_of` (p,): each picture's
     node; `problem` and `views`: as the core takes them; `rows` (v,): where each view's corners
     begin in the problem's."""

@@ -15,9 +15,10 @@ posterior is taken (`expected_slope`), not the likeliest, which is none.
 """
 
 import math
-from dataclasses import astuple, dataclass, fields, replace
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import astuple, fields, replace
 
 from trigpoint.fusion.solver.quasi_newton import least
 from trigpoint.geometry.chi_square import chi2_limit
@@ -38,8 +39,7 @@ _LOG_SLIP = 2.0
 _FREE = 1e3
 
 
-@dataclass(frozen=True, slots=True)
-class _Part:
+class _Part(Struct, frozen=True):
     """A parameter of the noise that may be learnt, as the logarithm of its ratio to `middle`:
     the search begins at `start` and stays within `bounds`."""
 

@@ -1,9 +1,9 @@
 """Visits: runs of pictures of one robot by one camera between which odometry hardly drifts."""
 
 from collections.abc import Set
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import Observation
@@ -26,8 +26,7 @@ _MOST_TELLING = 6
 _LEAST_TO_TELL = 3
 
 
-@dataclass(frozen=True, slots=True)
-class Visit:
+class Visit(Struct, frozen=True):
     """One visit. `indices`: of its pictures in the session's observations, in order of time;
     `chosen`: those that the search uses; `stamp_ns`: of the first one, whose robot pose is the
     visit's own frame; `until_ns`: of the last one."""

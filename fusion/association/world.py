@@ -4,9 +4,8 @@ It searches the joint hypotheses. `verify` then holds the finished best one agai
 alternatives: for each camera, where else could it be, given all the others?
 """
 
-from dataclasses import replace
-
 import numpy as np
+from msgspec.structs import replace
 
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import Observation

@@ -6,9 +6,9 @@ for the middle heading: in more than half of the headings it is so good or bette
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.geometry.rotation import Array
 
@@ -28,8 +28,7 @@ def class_name(within_m: float) -> str:
     return f"within {100 * within_m:g} cm" if math.isfinite(within_m) else "at all"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class AccuracyMap:
+class AccuracyMap(Struct, frozen=True, eq=False):
     """Of the robots that carry one target, by cell (n) of the floor: radii within which 95 % of
     the errors of a corrected position lie, metres, inf where nothing corrects.
 
@@ -146,8 +145,7 @@ def accuracy_map(
     return AccuracyMap(carried.robots, floor, names, by_heading, cameras, sees, without, is_floor)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Tile:
+class _Tile(Struct, frozen=True, eq=False):
     """Some cells of an AccuracyMap."""
 
     by_heading: Array

@@ -1,10 +1,10 @@
 """A target's faces as they are looked at from many places: which of their corners decide whether a
 face is found, and a few points that weigh as much as all of its corners."""
 
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.fusion.reading.visibility import Body
 from trigpoint.geometry import Pose
@@ -16,8 +16,7 @@ FEWEST_CORNERS = 6
 _BEFORE_M = 1e-4
 
 
-@dataclass(frozen=True, eq=False)
-class Board:
+class Board(Struct, frozen=True, eq=False, dict=True):
     """One face. `corners` (n, 3), `extremes` (4, 3): those farthest out; `sides` (s, 2, 3): the
     ends of the sides of the squares (or tags) in its four corners, among which is the smallest one
     in any picture; `needed`: how many corners must be seen; `hiders`: the faces that can stand
@@ -54,8 +53,7 @@ class Board:
         return float(np.linalg.norm(self.sides[:, 1] - self.sides[:, 0], axis=1).min())
 
 
-@dataclass(frozen=True, eq=False)
-class Carried:
+class Carried(Struct, frozen=True, eq=False, dict=True):
     """What robots carry. `robots`: who; `target`: the faces; `base_from_face` (f): as they were
     found to be mounted; `tangent`: the components of their pose that are free."""
 

@@ -10,10 +10,10 @@ elimination). That is what a filter that knows the network makes of pictures of 
 knows nothing else; what odometry knows is not counted.
 """
 
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.uncertainty import lever, symmetric
@@ -27,8 +27,7 @@ _AT_ONCE = 4096
 _OPEN = 1e-11
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Pictures:
+class Pictures(Struct, frozen=True, eq=False):
     """Pictures (p,) of a robot at poses: which `pose` and which `camera` by number, in order of
     the poses; their `information` (p, 6, 6) on the pose's disturbance; and the vector from the
     camera to the robot's base, `arm` (p, 3), in the map."""
@@ -44,8 +43,7 @@ class Pictures:
         )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Errors:
+class Errors(Struct, frozen=True, eq=False):
     """Radii within which 95 % of the errors of a position lie, metres; inf where nothing corrects.
 
     `by_pose` (n,): by all pictures at a pose; `without` (p,): without a picture's camera.
@@ -123,8 +121,7 @@ def _together(single: "_Singles", rows: np.ndarray, covariance: Array) -> Array:
     return joint.reshape(groups, 6 * count, 6 * count)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Singles:
+class _Singles(Struct, frozen=True, eq=False):
     """What each picture (p,) says by itself: the covariance of its z, `own` (p, 6, 6); by it the
     `position`'s (p, 2, 2); `levers` (p, 6, 6): L. `tangent`: the free components."""
 

@@ -1,9 +1,9 @@
 """A located camera, and what bounds what it can see, so that most places need no closer look."""
 
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
@@ -15,8 +15,7 @@ MARGIN_PX = 5.0
 _SAMPLES = 17
 
 
-@dataclass(frozen=True, eq=False)
-class Eye:
+class Eye(Struct, frozen=True, eq=False, dict=True):
     """A located camera; `sigma_px`: of a corner's coordinate in its pictures."""
 
     name: str

@@ -2,9 +2,9 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.fusion.model.places import are_near
 from trigpoint.geometry.rotation import Array
@@ -23,8 +23,7 @@ _LARGEST_M = 2000.0
 """A side of the floor; a network that is wider has a camera that is not where it should be."""
 
 
-@dataclass(frozen=True, slots=True)
-class Floor:
+class Floor(Struct, frozen=True):
     """`origin`: the lower left corner, (x, y) in the map; a cell's side `cell_m`; how many `rows`
     (along y) and `columns` (along x). Cells are counted row by row from there."""
 

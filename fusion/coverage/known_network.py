@@ -1,9 +1,9 @@
 """What the map of corrections is worked out from: located cameras, and what robots carry."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.fusion.model.observations import LEAST_SIGMA_PX
 from trigpoint.fusion.model.odometry import PLANAR, SPATIAL
@@ -20,8 +20,7 @@ USUAL_SIGMA_PX = 0.15
 """Of a corner where no camera of a network has seen one: the simulated lab's."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class KnownNetwork:
+class KnownNetwork(Struct, frozen=True, eq=False):
     """Located cameras, and the joint covariance (6n, 6n) of their poses."""
 
     eyes: tuple[Eye, ...]

@@ -10,9 +10,8 @@ All places have the same few headings, so what a face's points add to the robot'
 camera's frame is worked out once for each heading.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.fusion.model.projection import projected
 from trigpoint.fusion.reading.visibility import Body, corners_hidden
@@ -31,8 +30,7 @@ def headings_rad(count: int = HEADINGS) -> Array:
     return np.arange(count) * 2 * np.pi / count
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Seen:
+class Seen(Struct, frozen=True, eq=False):
     """Where a camera finds a face: `rows` (k,) among places × headings, those of a place together,
     and the information (k, 6, 6) of its picture on the disturbance of the robot's pose there."""
 

@@ -2,9 +2,9 @@
 which the solution adds."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
+from msgspec.structs import replace
 
 from trigpoint.fusion.association.events import Events
 from trigpoint.fusion.association.explanation import Explanation

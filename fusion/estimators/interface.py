@@ -1,9 +1,9 @@
 """What every estimator offers to the pipeline."""
 
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.fusion.association.explanation import Alternative
 from trigpoint.fusion.model.dataset import CameraMove
@@ -17,8 +17,7 @@ from trigpoint.geometry.rotation import Array
 from .residuals import CameraResiduals
 
 
-@dataclass(frozen=True, slots=True)
-class CameraEstimate:
+class CameraEstimate(Struct, frozen=True):
     """A camera in the map; `covariance`: (6, 6); `lens_sigma`: of `lens.parameters`."""
 
     map_from_camera: Pose
@@ -29,8 +28,7 @@ class CameraEstimate:
     time_offset_sigma_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class CameraCount:
+class CameraCount(Struct, frozen=True):
     """Counts of a camera's sightings (faces, not pictures). `rejected`: those that the estimate of
     a located camera does not use; `reprojection_rms`: of a coordinate, pixels."""
 
@@ -44,8 +42,7 @@ class CameraCount:
         return self.sightings - self.rejected > 1
 
 
-@dataclass(frozen=True, slots=True)
-class Update:
+class Update(Struct, frozen=True):
     """The effect of an observation: `correction`, where it was one of a camera located before;
     `problem`: why it could not be used at all, "" where it could; `contradiction`: what it says
     against a map that does not change, "" where that may be chance; None: it does not."""
@@ -56,8 +53,7 @@ class Update:
     contradiction: str | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Trajectory:
+class Trajectory(Struct, frozen=True):
     """A robot's trajectory: `map_from_base` (n) at each odometry message's stamp (n,)."""
 
     stamps_ns: np.ndarray

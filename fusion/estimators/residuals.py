@@ -1,8 +1,8 @@
 """The residuals of corners at a solution: of one camera, and the χ² of them all."""
 
-from dataclasses import dataclass, replace
-
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from trigpoint.fusion.model.dataset import DataSet, Entry
 from trigpoint.fusion.model.prediction import batch_residual
@@ -11,8 +11,7 @@ from trigpoint.fusion.solver.levenberg_marquardt import Solution
 from trigpoint.geometry.rotation import Array
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CameraResiduals:
+class CameraResiduals(Struct, frozen=True, eq=False):
     """One camera's corners in its used observations, at all poses that it had.
 
     `places` (m, 3): where the robots stood in all of its observations, as far as that is known.

@@ -1,11 +1,11 @@
 """The estimator's results in the form of the network file."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import Path
 from uuid import NAMESPACE_URL, UUID, uuid5
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.fusion.association.explanation import Alternative
 from trigpoint.fusion.model.dataset import DataSet, Move
@@ -30,8 +30,7 @@ from .interface import CameraEstimate, Estimator
 from .noise_lines import noise_lines
 
 
-@dataclass(frozen=True, slots=True)
-class Results:
+class Results(Struct, frozen=True):
     """The network, its joint covariance (6n, 6n), robot -> (stamps_ns, map_from_base), and which
     `noise` is not as stated, in words."""
 

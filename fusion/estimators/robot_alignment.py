@@ -1,8 +1,7 @@
 """The robot's pose by one sighting of a located camera, and the best reading of that sighting."""
 
-from dataclasses import replace
-
 import numpy as np
+from msgspec.structs import replace
 
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.gates import DECISIVE

@@ -1,9 +1,9 @@
 """One place at which a robot may be in a fixed map, carried on by its odometry and sightings."""
 
 from collections import Counter
-from dataclasses import dataclass, field
 
 import numpy as np
+from msgspec import Struct, field
 from numpy.linalg import LinAlgError
 
 from trigpoint.fusion.association.events import Events
@@ -25,8 +25,7 @@ _ELSEWHERE = 1e-5
 _NEAR = np.diag(np.repeat([0.1**2, 0.1**2], 3))
 
 
-@dataclass(frozen=True, slots=True)
-class Costs:
+class Costs(Struct, frozen=True):
     """Scores of what may have happened, after `association.events`. `wrong`: a wrong sighting;
     `event`: a camera was moved, or the robot lifted, which explains any number of them."""
 
@@ -48,8 +47,7 @@ class Costs:
         return int(np.ceil(self.event / self.wrong))
 
 
-@dataclass(slots=True)
-class Account:
+class Account(Struct):
     """One way in which a place may be right. `before`: the score of what must have happened then;
     `sunk`, `against`: by camera, how many sightings it does not explain, as far as they count: of
     before it was a hypothesis, and since, where sightings that it explains make up for others."""
@@ -69,8 +67,7 @@ class Account:
         return self.before + sum(map(self.costs.of_camera, self.unexplained.values()))
 
 
-@dataclass(slots=True, eq=False)
-class Hypothesis:
+class Hypothesis(Struct, eq=False):
     """`agreeing`: by camera, how many sightings it explains, as far as they count; `accounts`: the
     ways in which it may be right."""
 

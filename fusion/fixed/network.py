@@ -1,11 +1,12 @@
 """The network that a fixed map holds, and what a map that was learnt hands over to it."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
 from functools import cached_property
 from uuid import UUID
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from trigpoint.base.errors import OperationError
 from trigpoint.fusion.estimators.interface import CameraEstimate
@@ -20,8 +21,7 @@ from trigpoint.map.network import CameraRecord, Network
 from trigpoint.site.config import Site
 
 
-@dataclass(frozen=True, eq=False)
-class FixedNetwork:
+class FixedNetwork(Struct, frozen=True, eq=False, dict=True):
     """A network with the joint covariance (6n, 6n) of its located cameras. `known`: those that the
     site has too; `learnt`: what was concluded of noise while it was learnt, where that is at
     hand."""

@@ -8,9 +8,9 @@ much as a lift. Corrections come from the only hypothesis that is left within th
 """
 
 from collections import Counter
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 from numpy.linalg import LinAlgError
 
 from trigpoint.fusion.association.events import window
@@ -28,8 +28,7 @@ from .network import FixedNetwork
 _MOST = 16
 
 
-@dataclass(frozen=True, slots=True)
-class Placed:
+class Placed(Struct, frozen=True):
     """What a sighting says: the correction that it makes, and whether it `contradicts` the place of
     the robot or could not be used (`problem`)."""
 

@@ -4,9 +4,8 @@ The floor is known by where robots have driven: squares within half a metre of t
 their neighbours. A robot that does not move in a plane is only sent where one of its kind was.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.fusion.model.places import are_near, path_lengths
 from trigpoint.fusion.model.thinning import thinned
@@ -25,8 +24,7 @@ _LARGEST_GAP_M = 3.0  # between two poses of a way; beyond it the robot's odomet
 _DETOUR = 1.5  # a goal that no known way leads to
 
 
-@dataclass(frozen=True, slots=True)
-class Ground:
+class Ground(Struct, frozen=True):
     """`squares`: (n, 2) int, their middles in units of a side; `poses`: all that were driven,
     (m)."""
 
@@ -57,8 +55,7 @@ class Ground:
         return np.where(np.isfinite(paths), np.maximum(paths, straight), _DETOUR * straight)
 
 
-@dataclass(frozen=True, slots=True)
-class Candidates:
+class Candidates(Struct, frozen=True):
     """`map_from_base` (n), and how long the way there is (n,), metres."""
 
     map_from_base: Pose

@@ -1,8 +1,8 @@
 """What cameras would see of a robot at candidate poses, and the information in that."""
 
-from dataclasses import dataclass, replace
-
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from trigpoint.fusion.model.odometry import OdometryTrack
 from trigpoint.fusion.model.places import are_near
@@ -35,8 +35,7 @@ _MOST_VISITS = 360
 _AT_ONCE = 64
 
 
-@dataclass(frozen=True, slots=True)
-class Visits:
+class Visits(Struct, frozen=True):
     """What a picture by each of `cameras` would tell at candidates `rows` (m,): information (m, q,
     q) over `columns` (q,) of the dense part, the robot's pose first."""
 
@@ -97,8 +96,7 @@ def _kept(every: np.ndarray) -> np.ndarray:
     return np.sort(np.concatenate(parts))
 
 
-@dataclass(frozen=True, slots=True)
-class FacesSeen:
+class FacesSeen(Struct, frozen=True):
     """Which faces a camera sees wholly at each pose, and which at least in part; (n, faces) bool
     each."""
 
@@ -143,8 +141,7 @@ def _inside(camera: CameraState, points_map: Array) -> np.ndarray:
     return camera.lens.sees(camera.map_from_camera.inverse() @ points_map, margin_px=_MARGIN_PX)
 
 
-@dataclass(frozen=True, slots=True)
-class _Told:
+class _Told(Struct, frozen=True):
     """What a picture by one camera tells at each pose (n): `information` (n, q, q) over `columns`
     (q,), nothing where the robot is not seen."""
 

@@ -14,9 +14,9 @@ Pure and on immutable inputs, so it may run beside the estimator.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 from numpy.linalg import LinAlgError
 
 from trigpoint.fusion.model.problem import Layout
@@ -38,8 +38,7 @@ _OTHER_CAMERAS = 8
 _SAME_PLACE_M, _SAME_HEADING = 0.3, np.radians(20)
 
 
-@dataclass(frozen=True, slots=True)
-class Suggestion:
+class Suggestion(Struct, frozen=True):
     """A pose to visit: `camera` is the worst one, with its position sigma (root of the trace,
     metres) now and as expected after the visit; `seen_by`: the cameras that would see the robot."""
 
@@ -56,8 +55,7 @@ class Suggestion:
         return self.expected_sigma_m < 0.98 * self.sigma_m
 
 
-@dataclass(frozen=True, slots=True)
-class JointCovariance:
+class JointCovariance(Struct, frozen=True):
     """The joint covariance over the dense part, each robot's last pose included."""
 
     layout: Layout
@@ -131,8 +129,7 @@ def next_poses(world: GuidanceWorld, *, count: int) -> list[Suggestion]:
     return min(useful, key=lambda poses: poses[0].expected_sigma_m, default=[])
 
 
-@dataclass(frozen=True, slots=True)
-class Options:
+class Options(Struct, frozen=True):
     """Every candidate (n) of one robot with what is expected after it."""
 
     camera: str

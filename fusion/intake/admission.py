@@ -7,7 +7,8 @@ messages useless, now or after a restart.
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+
+from msgspec import Struct, field
 
 from trigpoint.base.clock import to_ns, to_seconds
 from trigpoint.bus.bus import Sample
@@ -58,16 +59,14 @@ class Budget:
         return True
 
 
-@dataclass(slots=True)
-class _Sender:
+class _Sender(Struct):
     """When a sender was last heard, monotonic, ns, and how often after another sender."""
 
     last_ns: int
     turns: int = 0
 
 
-@dataclass(slots=True)
-class _Speaker:
+class _Speaker(Struct):
     """The senders of a key: `current`, the last one heard, and all recent ones."""
 
     current: str = ""

@@ -5,10 +5,9 @@ Pictures and odometry by two clocks show in times that never overlap. Pure: no b
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
 from datetime import UTC, datetime
 
-from msgspec import structs
+from msgspec import Struct, structs
 
 from trigpoint.base.clock import to_ns, to_seconds
 from trigpoint.base.words import counted
@@ -23,8 +22,7 @@ OFFSET_SIGMAS = 3.0
 _NEVER_SET_NS = to_ns(1e8)
 
 
-@dataclass(frozen=True, slots=True)
-class Span:
+class Span(Struct, frozen=True):
     """From the first stamp to the last of `count` messages."""
 
     first_ns: int

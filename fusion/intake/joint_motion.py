@@ -6,9 +6,8 @@ tells them apart far better than odometry. So a visit is solved together with al
 cameras saw of the robot at the time, and the χ² that it adds is the evidence against that robot.
 """
 
-from dataclasses import replace
-
 import numpy as np
+from msgspec.structs import replace
 from numpy.linalg import LinAlgError
 
 from trigpoint.base.clock import to_ns

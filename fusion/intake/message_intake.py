@@ -5,7 +5,9 @@ which is only known as well as its camera's time offset.
 """
 
 import heapq
-from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+from msgspec.structs import replace
 
 from trigpoint.base.clock import to_ns
 from trigpoint.contract.messages import FaceSighting, Sightings
@@ -25,13 +27,13 @@ _REMEMBERED = 4096
 _CLOCK_TOLERANCE_NS = to_ns(5.0)
 
 
-@dataclass(order=True, slots=True)
-class _Waiting:
-    """`latest_ns`: the latest true time at which the robot may have been seen."""
+class _Waiting(NamedTuple):
+    """`latest_ns`: the latest true time at which the robot may have been seen; `order`: of their
+    coming, each its own."""
 
     latest_ns: int
     order: int
-    observation: Observation = field(compare=False)
+    observation: Observation
 
 
 class Intake:

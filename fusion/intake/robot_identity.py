@@ -8,9 +8,9 @@ cameras saw each of them drive meanwhile.
 """
 
 from collections import deque
-from dataclasses import replace
 
 import numpy as np
+from msgspec.structs import replace
 
 from trigpoint.fusion.association.budget import ALIKE_SHARE, Budget
 from trigpoint.fusion.association.events import Events, window

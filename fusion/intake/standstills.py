@@ -11,9 +11,9 @@ what looks alike is another look after any of them has moved; what does not is a
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.fusion.model.gates import SAME_CORNER_SIGMAS
 from trigpoint.fusion.model.observations import Observation, View
@@ -33,8 +33,7 @@ _LOOKS_HZ = 1 / 3600
 _LEAST_CORNERS = 4
 
 
-@dataclass(slots=True)
-class _Standstill:
+class _Standstill(Struct):
     """A robot, or one of several, before a camera, until the last picture of it. `views`: its
     present look; `count`: how many pictures of that look were kept; `kept`: the budget for all
     looks."""

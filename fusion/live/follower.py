@@ -9,8 +9,9 @@ corrections. So no turn takes long, and late sightings enter the new filter as w
 
 from collections import deque
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
 
+from msgspec import Struct
+from msgspec.structs import replace
 from numpy.linalg import LinAlgError
 
 from trigpoint.base.clock import to_ns
@@ -50,16 +51,14 @@ _MOST_HELD_S = 2.0
 _CATCHING_UP = 2
 
 
-@dataclass(slots=True)
-class _Recent:
+class _Recent(Struct):
     """An observation that is not part of any solution yet; `number`: its number with the solver."""
 
     observation: Observation
     number: int | None = None
 
 
-@dataclass(slots=True)
-class _Coming:
+class _Coming(Struct):
     """A solution's filter that is catching up, and the observations that it lacks, in order."""
 
     current: CurrentFilter

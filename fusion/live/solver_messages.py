@@ -1,8 +1,9 @@
 """Messages between the live estimator and its solver; all of them can be pickled."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Protocol
+
+from msgspec import Struct
 
 from trigpoint.contract.messages import OccupancyGrid
 from trigpoint.fusion.estimators.results import Results
@@ -15,16 +16,14 @@ from trigpoint.geometry import CameraModel, Pose
 # -- to the one that solves -----------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class TakeLens:
+class TakeLens(Struct, frozen=True):
     """A camera's lens, before its first observation."""
 
     camera: str
     lens: CameraModel
 
 
-@dataclass(frozen=True, slots=True)
-class TakeOdometry:
+class TakeOdometry(Struct, frozen=True):
     """A robot's odometry messages, as they were taken: stamps (n,) and poses (n)."""
 
     robot: str
@@ -32,35 +31,30 @@ class TakeOdometry:
     odom_from_base: Pose
 
 
-@dataclass(frozen=True, slots=True)
-class TakeObservation:
+class TakeObservation(Struct, frozen=True):
     """The next observation; they are counted. `is_collected`: for the next `Finish` alone."""
 
     observation: Observation
     is_collected: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class TakeMove:
+class TakeMove(Struct, frozen=True):
     """A move that a camera noticed itself (`Live.camera_moved`)."""
 
     move: CameraMove
 
 
-@dataclass(frozen=True, slots=True)
-class LeaveOpen:
+class LeaveOpen(Struct, frozen=True):
     """Locate none of these cameras (`Live.leave_open`)."""
 
     cameras: frozenset[str]
 
 
-@dataclass(frozen=True, slots=True)
-class Finish:
+class Finish(Struct, frozen=True):
     """Solve to the end, and report."""
 
 
-@dataclass(frozen=True, slots=True)
-class Report:
+class Report(Struct, frozen=True):
     """Report what is known now."""
 
 
@@ -71,8 +65,7 @@ Order = TakeLens | TakeOdometry | TakeObservation | TakeMove | LeaveOpen | Finis
 Shares = dict[tuple[str, str], tuple[int, float]]
 
 
-@dataclass(frozen=True, slots=True)
-class Solved:
+class Solved(Struct, frozen=True):
     """A solution over the first `count` observations.
 
     `shares`: see `CurrentFilter`; `conclusions`: what happened, and how noisy it was; `located`:
@@ -88,8 +81,7 @@ class Solved:
     past: Past | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Reported:
+class Reported(Struct, frozen=True):
     """The results as they are known after `orders` orders to report or to finish; `is_final`:
     solved to the end."""
 
@@ -98,8 +90,7 @@ class Reported:
     results: Results
 
 
-@dataclass(frozen=True, slots=True)
-class Suggested:
+class Suggested(Struct, frozen=True):
     """Where a robot should go next (`guidance.suggestions`)."""
 
     robot: str
@@ -107,8 +98,7 @@ class Suggested:
     map_from_base: Pose
 
 
-@dataclass(frozen=True, slots=True)
-class Covered:
+class Covered(Struct, frozen=True):
     """How well a robot is corrected where, where that changed."""
 
     grid: OccupancyGrid
@@ -117,8 +107,7 @@ class Covered:
 News = Solved | Event | Reported | Suggested | Covered
 
 
-@dataclass(frozen=True, slots=True)
-class Solution:
+class Solution(Struct, frozen=True):
     """A solution from which corrections go on after a restart; none of its sightings is stamped
     later than `until_ns`."""
 

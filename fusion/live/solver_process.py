@@ -15,9 +15,10 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from multiprocessing import get_context, resource_tracker
 from multiprocessing.connection import Connection
+
+from msgspec import Struct
 
 from trigpoint.base.errors import OperationError
 from trigpoint.fusion.coverage.announced import AnnouncedMap
@@ -43,15 +44,13 @@ _TIMES_THE_LONGEST = 10.0
 _log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
-class Alive:
+class Alive(Struct, frozen=True):
     """A sign of life of the thread that solves; the next one comes within this time."""
 
     within_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class Took:
+class Took(Struct, frozen=True):
     """How long it took to solve everything anew."""
 
     seconds: float

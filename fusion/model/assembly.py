@@ -1,9 +1,10 @@
 """Assembles the problem from the data set: node chains, padded batches, priors, initial state."""
 
 from collections import defaultdict
-from dataclasses import dataclass, replace
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from trigpoint.base.clock import NANOSECONDS, to_ns
 from trigpoint.geometry import CameraModel, Pose
@@ -35,8 +36,7 @@ from .trajectory import interpolated
 _FILL_NS = NANOSECONDS
 
 
-@dataclass(frozen=True, slots=True)
-class Assembled:
+class Assembled(Struct, frozen=True):
     """A problem, the state to start from, and the node of each used entry of the data set."""
 
     problem: Problem
@@ -100,8 +100,7 @@ def true_time_ns(data: DataSet, observation: Observation, state: State) -> int:
     return observation.stamp_ns - to_ns(float(offset_s))
 
 
-@dataclass(frozen=True, slots=True)
-class _BuiltChain:
+class _BuiltChain(Struct, frozen=True):
     chain: Chain
     poses: Pose
     node_of: dict[int, int]

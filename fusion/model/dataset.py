@@ -1,9 +1,10 @@
 """All input: the robots' odometry and the observations, and the verdicts on them."""
 
 from collections.abc import Container, Iterable
-from dataclasses import dataclass, field, replace
 
 import numpy as np
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from trigpoint.base.clock import NANOSECONDS
 from trigpoint.geometry import CameraModel, Pose
@@ -22,8 +23,7 @@ _MOST_TOLD = 64
 """So many told moves of a camera are kept."""
 
 
-@dataclass(slots=True)
-class Entry:
+class Entry(Struct):
     """An observation and the robot's estimated pose at it (None: not known).
 
     `share`: its weight, below 1 where it repeats the errors of others (see `standstill_noise`).
@@ -34,8 +34,7 @@ class Entry:
     share: float = 1.0
 
 
-@dataclass(slots=True)
-class Move:
+class Move(Struct):
     """The move of a camera. `name`: the name of its earlier pose among the cameras; `since_ns`: the
     first sighting from its new place; `until_ns`: the last one from the old."""
 
@@ -47,8 +46,7 @@ class Move:
     covariance: Array | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Lift:
+class Lift(Struct, frozen=True):
     """A robot was put down elsewhere between two moments, which its odometry does not show."""
 
     robot: str
@@ -56,8 +54,7 @@ class Lift:
     before_ns: int
 
 
-@dataclass(frozen=True, slots=True)
-class CameraMove:
+class CameraMove(Struct, frozen=True):
     """A camera was moved between its last sighting from the old place and the first from the new
     one."""
 
@@ -69,16 +66,14 @@ class CameraMove:
 SiteChange = Lift | CameraMove
 
 
-@dataclass(frozen=True, slots=True)
-class Event:
+class Event(Struct, frozen=True):
     """A change of the site, as text; events are counted by `kind`."""
 
     kind: str
     text: str
 
 
-@dataclass(frozen=True, slots=True)
-class Conclusions:
+class Conclusions(Struct, frozen=True):
     """What was concluded from a session's sightings: the cameras that were moved; by robot, the
     odometry steps in which its track is broken, its noise (stated parts, slip, skid) and its
     jitter; by camera, the factor on the stated sigma of its corners; and the moves that were `told`
@@ -92,8 +87,7 @@ class Conclusions:
     told: tuple[CameraMove, ...] = ()
 
 
-@dataclass(slots=True)
-class DataSet:
+class DataSet(Struct):
     """The estimator's inputs so far. Not thread-safe.
 
     `lenses`: each camera's lens, known or the initial value of its estimation; `moves`: in order of
@@ -119,10 +113,11 @@ class DataSet:
     corner_scale: dict[str, float] = field(default_factory=dict)
     told: list[CameraMove] = field(default_factory=list)
     past: Past | None = None
-    _by_camera: dict[str, list[Entry]] = field(init=False, repr=False, default_factory=dict)
-    _sorted: int = field(init=False, repr=False, default=0)
+    _by_camera: dict[str, list[Entry]] = field(default_factory=dict)
+    _sorted: int = 0
 
     def __post_init__(self) -> None:
+        self._by_camera, self._sorted = {}, 0  # of these entries, also in a copy with others
         for name, robot in self.site.robots.items():
             if name not in self.tracks:
                 self.tracks[name] = OdometryTrack(robot.odometry, planar=robot.planar)

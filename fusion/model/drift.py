@@ -1,9 +1,9 @@
 """The drift of odometry between any two of a robot's moments: its covariance and scale errors."""
 
-from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
@@ -12,8 +12,7 @@ from trigpoint.geometry.uncertainty import lever, turned_axes
 from .odometry import OdometryTrack
 
 
-@dataclass(frozen=True, slots=True)
-class Drift:
+class Drift(Struct, frozen=True):
     """The drift accumulated up to each of m moments, referred to the mean of the robot's positions:
     `noise` (m, 6, 6), its covariance, and `by_scale` (m, 6, 2), its derivative by the two scale
     errors; `arms` (m, 3) from that point to the robot; in the axes of its poses' parent."""

@@ -1,6 +1,6 @@
 """What an estimator is made from, before anything came in."""
 
-from dataclasses import dataclass, field
+from msgspec import Struct, field
 
 from trigpoint.geometry import CameraModel
 from trigpoint.site.config import Site
@@ -11,8 +11,7 @@ from .known_cameras import KnownCameras
 from .past import Past
 
 
-@dataclass(frozen=True, slots=True)
-class Inputs:
+class Inputs(Struct, frozen=True):
     """What a pipeline is made from. `lenses`: those known beforehand; the others are announced;
     `past`: of a map that goes on, None where it begins."""
 

@@ -1,8 +1,7 @@
 """The random deviation of a robot's pose in a picture from the plane of its odometry."""
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.geometry.rotation import Array
 
@@ -14,8 +13,7 @@ _EVEN = 1e-6
 _MOST_PLACES = 1000
 
 
-@dataclass(frozen=True, slots=True)
-class Jitter:
+class Jitter(Struct, frozen=True):
     """`sway` (m), `tilt` (rad): standard deviations of the robot's shift along and rotation about
     each axis in a picture; `length` (m): the correlation length of the floor's slope: pictures
     taken within it share the tilt, which does not turn the heading; 0: independent tilts."""

@@ -6,10 +6,11 @@ each camera by itself. What is more than that is a move, which the association f
 """
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from trigpoint.base.clock import NANOSECONDS
 from trigpoint.geometry import Pose
@@ -20,8 +21,7 @@ from trigpoint.site.config import CameraConfig
 _DAY_NS = 86_400 * NANOSECONDS
 
 
-@dataclass(frozen=True, slots=True)
-class Creep:
+class Creep(Struct, frozen=True):
     """How far a camera creeps along and about each axis: sigmas, m and rad per √day."""
 
     translation: float
@@ -47,8 +47,7 @@ class Creep:
         return np.diag(np.repeat([self.translation**2, self.rotation**2], 3)) * days
 
 
-@dataclass(frozen=True, eq=False)
-class KnownCameras:
+class KnownCameras(Struct, frozen=True, eq=False, dict=True):
     """Cameras known from before, and the unknowns that go with them: their values, and their joint
     information (n, n) at the time `until_ns` (None: not known, so that cameras are taken not to
     creep).

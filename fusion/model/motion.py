@@ -1,8 +1,7 @@
 """Motion composed of many small steps, with its covariance and its derivative by the scales."""
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.geometry import Pose
 from trigpoint.geometry import rotation as so3
@@ -14,8 +13,7 @@ STILL = 1e-9
 FLOOR_VARIANCE = 1e-13
 
 
-@dataclass(frozen=True, slots=True)
-class Motion:
+class Motion(Struct, frozen=True):
     """Motion between consecutive moments; leading dimension n.
 
     `earlier_from_later`: the scaled reported motion; `covariance`: (n, 6, 6) of its disturbance in
@@ -38,8 +36,7 @@ class Motion:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class OdometryStep:
+class OdometryStep(Struct, frozen=True):
     """A robot's pose after one odometry step; leading dimensions as its pose has.
 
     `end`: that pose. Its disturbance is `by_start` (…, 6, 6) times the start's, `by_motion`

@@ -5,11 +5,12 @@ turn»), the view has several readings; the chosen `Reading` is a hypothesis and
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from enum import Enum
 from functools import cache
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from trigpoint.base.clock import to_ns, to_seconds
 from trigpoint.contract.messages import FaceSighting
@@ -35,16 +36,14 @@ class Verdict(Enum):
     REJECTED = "contradicts the rest"
 
 
-@dataclass(frozen=True, slots=True)
-class Reading:
+class Reading(Struct, frozen=True):
     """Which face a view shows (index into the target's faces), and whether with the half turn."""
 
     face: int
     is_turned: bool = False
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class View:
+class View(Struct, frozen=True, eq=False):
     """One face in one picture: corner ids (n,), pixels (n, 2), and the sigma of a coordinate, lens
     and print included.
 
@@ -58,8 +57,7 @@ class View:
     sweep: Sweep | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Observation:
+class Observation(Struct, frozen=True):
     """One robot in one picture. `stamp_ns`: when the middle of its corners was exposed, by the
     camera's clock. `chosen`: a reading for each view, or None while that is ambiguous; `is_repeat`:
     it adds no information on the map to the others of the same standstill.
@@ -140,8 +138,7 @@ class Observation:
         return self.outliers or tuple(np.zeros(len(view.corners), bool) for view in self.views)
 
 
-@dataclass(frozen=True, slots=True)
-class Points:
+class Points(Struct, frozen=True):
     """An observation's corners, concatenated: (n, 3) in their face's frame, corrected for a rolling
     shutter, face index (n,), pixels (n, 2), and 1/sigma (n,), 0 for outliers."""
 

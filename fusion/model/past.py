@@ -6,7 +6,8 @@ is linearised is near. What nobody can look at again is left as it was concluded
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+
+from msgspec import Struct, field
 
 from trigpoint.base.clock import NANOSECONDS
 from trigpoint.geometry import CameraModel
@@ -19,8 +20,7 @@ ODOMETRY_BEFORE_NS = 2 * NANOSECONDS
 those that are kept is kept too."""
 
 
-@dataclass(frozen=True, slots=True)
-class PastCamera:
+class PastCamera(Struct, frozen=True):
     """Of one camera: its sightings (faces) that are not kept and how many of them were used; and
     where it hung before it was moved, the oldest first."""
 
@@ -29,8 +29,7 @@ class PastCamera:
     earlier: tuple[EarlierPose, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class Past:
+class Past(Struct, frozen=True):
     """`known`: what the sightings told that are not kept; `since_ns`: by robot, the stamp from
     which on its sightings are; `map_since_ns`: the stamp of the first robot's first odometry
     message, None where none came; `epoch_ns`: the reference time of the clocks' drift; `lenses`: by

@@ -4,9 +4,8 @@ Every pose is disturbed by the contract's convention: t' = t + δt, R' = Exp(δ�
 axes.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 from numpy.linalg import LinAlgError
 
 from trigpoint.geometry import Pose
@@ -133,8 +132,7 @@ def _given(batch: Batch, state: State, problem: Problem | None) -> tuple[object,
     )
 
 
-@dataclass(frozen=True, slots=True)
-class OdometryTerms:
+class OdometryTerms(Struct, frozen=True):
     """Whitened residual (n, d) between consecutive nodes, and its derivatives."""
 
     residual: Array

@@ -13,10 +13,10 @@ axes; a planar robot by x, y and heading alone. The last node of each robot is i
 that the Schur complement after the chains are eliminated is what a filter would know.
 """
 
-from dataclasses import dataclass, field
 from typing import Self
 
 import numpy as np
+from msgspec import Struct, field
 
 from trigpoint.base.clock import NANOSECONDS
 from trigpoint.geometry import CameraModel, Pose
@@ -27,8 +27,7 @@ from .motion import Motion, both, moved
 from .odometry import PLANAR, SPATIAL, OdometryTrack
 
 
-@dataclass(frozen=True, slots=True)
-class CameraState:
+class CameraState(Struct, frozen=True):
     """The estimate of one camera, with its clock's offset at the data set's epoch and its drift
     (s/s) from there."""
 
@@ -47,8 +46,7 @@ class CameraState:
         return self.time_offset_s + self.time_drift * since_epoch_s
 
 
-@dataclass(frozen=True, slots=True)
-class RobotState:
+class RobotState(Struct, frozen=True):
     """The estimate of one robot: its nodes (n) in the map, its scales (2,), its faces."""
 
     map_from_base: Pose
@@ -56,16 +54,14 @@ class RobotState:
     base_from_face: Pose
 
 
-@dataclass(frozen=True, slots=True)
-class State:
+class State(Struct, frozen=True):
     """All unknowns with their current values."""
 
     cameras: dict[str, CameraState]
     robots: dict[str, RobotState]
 
 
-@dataclass(frozen=True, slots=True)
-class Chain:
+class Chain(Struct, frozen=True):
     """One robot's nodes and the motion between them.
 
     `is_anchored`: node 0 is known exactly (the map's origin). `scales`: those at which `motion` was
@@ -102,8 +98,7 @@ def true_times_ns(stamps_ns: np.ndarray, offset_s: Array) -> np.ndarray:
     return stamps_ns - np.round(offset_s * NANOSECONDS).astype(np.int64)
 
 
-@dataclass(frozen=True, slots=True)
-class Carried:
+class Carried(Struct, frozen=True):
     """How a robot moves from its nodes to the moments at which a camera sees it, as a function of
     the camera's time offset.
 
@@ -129,8 +124,7 @@ class Carried:
         return self.way @ moved(self.twists * (self.offset_s - offset_s)[:, None])
 
 
-@dataclass(frozen=True, slots=True)
-class Batch:
+class Batch(Struct, frozen=True):
     """All used observations of one robot by one camera, padded to one size K.
 
     `nodes` (n,), `face_points` (n, K, 3), `faces` (n, K), `pixels` (n, K, 2), `weights` (n, K):
@@ -156,8 +150,7 @@ class Batch:
     jitter: Array | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Priors:
+class Priors(Struct, frozen=True):
     """Gaussian priors of the dense unknowns.
 
     `lens`: camera -> (parameters, sigmas); `time_offset`: camera -> (2,) sigmas of offset and
@@ -179,8 +172,7 @@ class Priors:
         return cls({}, {}, {}, {})
 
 
-@dataclass(frozen=True, slots=True)
-class Layout:
+class Layout(Struct, frozen=True):
     """Columns (q,) of each unknown of the dense part by name; `size`: how many there are in all."""
 
     pose: dict[str, np.ndarray]
@@ -196,8 +188,7 @@ class Layout:
         return self.scales.get(robot, np.arange(0))
 
 
-@dataclass(frozen=True, slots=True)
-class Problem:
+class Problem(Struct, frozen=True):
     """The data of one solution."""
 
     chains: dict[str, Chain]

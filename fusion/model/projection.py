@@ -1,9 +1,9 @@
 """Projects corners into a picture, with the derivative by the poses that they depend on."""
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
@@ -28,8 +28,7 @@ _PROJECTED = Kernel(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Projection:
+class Projection(Struct, frozen=True):
     """Corners of a body in a picture: `pixels` (…, k, 2); `by_body`: their derivative (…, k, 2, 6)
     by a disturbance of the body's pose; `is_ahead` (…, k): whether a corner is in front of the
     camera."""

@@ -12,16 +12,15 @@ So only a corner's position in the base frame changes, and that before anything 
 predictions of corners, and their derivatives, are the same as without a rolling shutter.
 """
 
-from dataclasses import dataclass, replace
-
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from trigpoint.geometry.rotation import Array
 from trigpoint.site.config import CameraConfig
 
 
-@dataclass(frozen=True, slots=True)
-class Sweep:
+class Sweep(Struct, frozen=True):
     """When a view's corners were exposed, and how the robot moved then.
 
     `after_s` (n,): the exposure times after the observation's moment, or after the picture's stamp

@@ -1,9 +1,10 @@
 """Estimates a robot's pose before a located camera, and the reading of what the camera saw."""
 
 from copy import copy
-from dataclasses import dataclass, replace
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from trigpoint.fusion.model.gates import WILD_SHARE
 from trigpoint.fusion.model.observations import Observation, Reading
@@ -46,8 +47,7 @@ _ROBUSTLY = Kernel(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Alignment:
+class Alignment(Struct, frozen=True):
     """A robot's pose before a located camera; `cost`: χ², the prior's included; `margin`: by how
     much the next best reading is worse; `wild`: (n,) bool over all corners, the outliers left
     out."""
@@ -63,8 +63,7 @@ class Alignment:
         return observation.read_as(self.readings).marked(self.wild)
 
 
-@dataclass(frozen=True, slots=True)
-class PosePrior:
+class PosePrior(Struct, frozen=True):
     """What is known of map_from_base before a sighting: covariance (6, 6) of its disturbance."""
 
     map_from_base: Pose

@@ -4,10 +4,10 @@ Every reading of every view and both solutions of every plane are candidates unt
 decides between them.
 """
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.fusion.model.observations import Observation, Reading, View
 from trigpoint.geometry import CameraModel, Pose
@@ -30,8 +30,7 @@ _CANDIDATES = Kernel(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Candidate:
+class Candidate(Struct, frozen=True):
     """One interpretation of an observation: readings, camera_from_base and its RMS in pixels."""
 
     readings: tuple[Reading, ...]

@@ -4,9 +4,8 @@ One plane has two solutions, which often fit equally well (Collins and Bartoli, 
 plane-based pose estimation», 2014); two faces together are solid and have one.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
@@ -25,8 +24,7 @@ _PLANE = Kernel(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class PoseFit:
+class PoseFit(Struct, frozen=True):
     """camera_from_object, and the reprojection's RMS of a coordinate in sigmas."""
 
     pose: Pose

@@ -5,10 +5,10 @@ reading that would need either is impossible, however well its corners fit.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache, lru_cache
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.fusion.model.observations import Reading, View, base_from_faces
 from trigpoint.geometry import Pose
@@ -18,8 +18,7 @@ from trigpoint.site.target import Target
 _BESIDE = 1e-3
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Body:
+class Body(Struct, frozen=True, eq=False):
     """A target in the robot's base frame.
 
     `table` (f, c, 3): the faces' corners by id, padded to one size, with how many a face has in

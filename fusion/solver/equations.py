@@ -1,8 +1,7 @@
 """The normal equations of a problem at a state, held by the core, and what they tell."""
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 from numpy.linalg import LinAlgError
 
 from trigpoint.fusion.model.problem import Layout, Problem
@@ -14,8 +13,7 @@ from trigpoint.native.library import Handle, Kernel, Out
 EXACT = 1e13
 
 
-@dataclass(frozen=True, slots=True)
-class Reduced:
+class Reduced(Struct, frozen=True):
     """The dense part after the chains are eliminated: information and gradient at a state."""
 
     layout: Layout
@@ -27,8 +25,7 @@ class Reduced:
         return covariance_of(self.information)
 
 
-@dataclass(frozen=True, slots=True)
-class System:
+class System(Struct, frozen=True):
     """The full system of a small problem at a state. `covariance`: of all unknowns, the chains'
     inner nodes first, and then the dense part; `step`: from there to the minimum;
     `log_determinant`: of the covariance's inverse, without what holds an anchored chain's first
@@ -58,8 +55,7 @@ class EquationsHandle(Handle):
     name = "tp_equations"
 
 
-@dataclass(frozen=True, slots=True)
-class Equations:
+class Equations(Struct, frozen=True):
     """Half the Hessian and the gradient of the cost Σ|r/σ|² of a problem at a state; `cost`:
     there."""
 

@@ -7,10 +7,11 @@ which the next batch solution moves. A step costs the same in a state of any siz
 Filters are immutable, so that going back to an earlier one for a late sighting costs nothing.
 """
 
-from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import Observation, base_from_faces, points_of
@@ -43,8 +44,7 @@ _UNKNOWN_M = 10.0
 _UNKNOWN_RAD = 3.0
 
 
-@dataclass(frozen=True, slots=True)
-class RobotEstimate:
+class RobotEstimate(Struct, frozen=True):
     """A robot at a time: map_from_base, and the covariance (6, 6) of its disturbance."""
 
     stamp_ns: int
@@ -52,8 +52,7 @@ class RobotEstimate:
     covariance: Array
 
 
-@dataclass(frozen=True, eq=False)
-class Filter:
+class Filter(Struct, frozen=True, eq=False, dict=True):
     """A Gaussian estimate about a fixed point. `state`: that point, with one node of each robot,
     its last; `stamps_ns`: of those nodes; `source`: the distribution as it was computed;
     `holds_cameras`: what is known of cameras stays as it is, and sightings tell of robots alone."""

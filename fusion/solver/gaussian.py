@@ -13,10 +13,10 @@ is made near when it is asked for; when there would be too many near ones, every
 once and becomes the new earlier Gaussian.
 """
 
-from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+from msgspec import Struct, field
 from numpy.linalg import LinAlgError
 
 from trigpoint.geometry.rotation import Array
@@ -43,8 +43,7 @@ _UPDATED = Kernel(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class _Near:
+class _Near(Struct, frozen=True):
     """The near columns (k,), and of the module's formulas P_nn, Φ, Ψ (k rows each), m_n and θ (one
     each), one below the other: (3 k + 2, k)."""
 
@@ -84,8 +83,7 @@ class _Near:
         return ~np.any(self.columns == columns[:, None], axis=1)
 
 
-@dataclass(eq=False)
-class Gaussian:
+class Gaussian(Struct, eq=False, dict=True):
     """A Gaussian of n unknowns; what it says never changes. `before`: earlier mean (n,) and
     covariance (n, n)."""
 

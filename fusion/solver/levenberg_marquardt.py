@@ -1,9 +1,8 @@
 """Solves the smoother's problem: Levenberg-Marquardt steps by elimination of the chains, in the
 compiled core."""
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 from numpy.linalg import LinAlgError
 
 from trigpoint.fusion.model.problem import Problem, State
@@ -19,8 +18,7 @@ _MINIMISED = Kernel(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Solution:
+class Solution(Struct, frozen=True):
     """The state at the minimum, and the reduced information there."""
 
     state: State
@@ -30,8 +28,7 @@ class Solution:
     has_converged: bool
 
 
-@dataclass(frozen=True, slots=True)
-class Minimum:
+class Minimum(Struct, frozen=True):
     """A state of least `cost`, and the normal equations there, which are those of least squares
     also where the cost is robust."""
 

@@ -10,18 +10,17 @@ pictures, and does not average out. So the normal equations are those about the 
 (`PictureEquations` of the core).
 """
 
-from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.fusion.model.prediction import base_jacobian
 from trigpoint.fusion.model.problem import Batch, State
 from trigpoint.geometry.rotation import Array
 
 
-@dataclass(frozen=True, slots=True)
-class PictureJitter:
+class PictureJitter(Struct, frozen=True):
     """The disturbances of one camera's and robot's pictures (n): `jacobian` (n, 2K, 6), of their
     corners; `variances` (n, 6); `information` (n, 6, 6): M."""
 

@@ -4,9 +4,8 @@ Nodes are at true times, which depend on the time offsets, and odometry between 
 with its scales; a problem has both to first order only, and is reassembled where they have changed.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.fusion.model.assembly import Assembled, assemble
 from trigpoint.fusion.model.dataset import DataSet
@@ -20,8 +19,7 @@ _SCALE_TOLERANCE = 1e-4
 _OFFSET_TOLERANCE_S = 1e-4
 
 
-@dataclass(frozen=True, slots=True)
-class Solved:
+class Solved(Struct, frozen=True):
     """The last problem and its solution; `state`: all cameras and robots, also unused ones."""
 
     state: State

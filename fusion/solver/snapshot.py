@@ -1,8 +1,7 @@
 """An immutable copy of a solution's state and information, for guidance to work on."""
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 from numpy.linalg import LinAlgError
 
 from trigpoint.fusion.model.dataset import DataSet
@@ -16,8 +15,7 @@ from trigpoint.site.target import Target
 from .filter import Filter
 
 
-@dataclass(frozen=True, slots=True)
-class ExpectedMotion:
+class ExpectedMotion(Struct, frozen=True):
     """Motions (…) in the free disturbances (d) of the robot: derivatives of the end's by those of
     the start (…, d, d) and by the scale errors of distance and heading (…, d, 2), and the
     covariance (…, d, d) that the motion adds."""
@@ -30,8 +28,7 @@ class ExpectedMotion:
         return ExpectedMotion(self.by_start[index], self.by_scale[index], self.covariance[index])
 
 
-@dataclass(frozen=True, slots=True)
-class RobotPlace:
+class RobotPlace(Struct, frozen=True):
     """A robot's current pose by its odometry, with its noise and its target.
 
     `since`: the motion since the filter's last pose of it.
@@ -77,16 +74,14 @@ def place_of(data: DataSet, known: Filter, robot: str) -> RobotPlace | None:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class CameraViews:
+class CameraViews(Struct, frozen=True):
     """Where robots stood when a camera saw them (n, 3), and the usual sigma of a corner, pixels."""
 
     places: Array
     sigma_px: float
 
 
-@dataclass(frozen=True, slots=True)
-class GuidanceWorld:
+class GuidanceWorld(Struct, frozen=True):
     """What guidance works on. `information`: of the dense part by `layout`; `ways`: each robot's
     solved poses in order; `views`: of the located cameras, each at its last place."""
 

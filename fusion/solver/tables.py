@@ -2,9 +2,9 @@
 of them is."""
 
 from collections.abc import Iterable
-from dataclasses import replace
 
 import numpy as np
+from msgspec.structs import replace
 
 from trigpoint.fusion.model.problem import Batch, CameraState, Chain, Problem, State
 from trigpoint.geometry import Pose

@@ -1,12 +1,12 @@
 """The command `export`: a session and its network in the formats of other tools."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import typer
+from msgspec import Struct
 
 from trigpoint.base.errors import InputError, MessageError, writing
 from trigpoint.contract import cdr
@@ -33,8 +33,7 @@ from trigpoint.site.config import Site, load_site, parse_site
 from .formats import camchain, launch_file
 
 
-@dataclass(frozen=True, slots=True)
-class Source:
+class Source(Struct, frozen=True):
     """What is exported; the network only where there is one, and where its map lies in the building
     only where the site file says so. `given`: the site in place of the one that is attached."""
 

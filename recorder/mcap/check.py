@@ -7,7 +7,6 @@ Nothing is taken on trust: every record is read, chunks are decompressed, and wh
 import struct
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 
 from mcap.exceptions import McapError
@@ -24,6 +23,7 @@ from mcap.records import (
     Schema,
     Statistics,
 )
+from msgspec import Struct, field
 
 from trigpoint.base.clock import to_seconds
 from trigpoint.base.errors import RecordingError
@@ -39,8 +39,7 @@ _PROFILES = ("", "ros1", "ros2")
 _MOST_TOLD = 1000
 
 
-@dataclass(slots=True)
-class Verdict:
+class Verdict(Struct):
     """`errors`: what breaks the format; `warnings`: what readers may stumble over; `remarks`: what
     is not as usual, but sound."""
 
@@ -64,8 +63,7 @@ def check(path: Path) -> Verdict:
     return _Checker(path, data).run()
 
 
-@dataclass(slots=True)
-class _SeenChunk:
+class _SeenChunk(Struct):
     offset: int
     length: int
     chunk: Chunk

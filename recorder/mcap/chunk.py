@@ -4,7 +4,6 @@ Computed by columns: a message costs half a microsecond instead of four.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from enum import Enum
 
 import lz4.frame
@@ -12,6 +11,7 @@ import numpy as np
 import zstandard
 from isal.isal_zlib import crc32
 from mcap.opcode import Opcode
+from msgspec import Struct
 
 from . import records
 from .records import MESSAGE, MESSAGE_FIELDS
@@ -46,8 +46,7 @@ class Compression(Enum):
     NONE = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Chunk:
+class Chunk(Struct, frozen=True):
     """`content`: the chunk record of `length` bytes and its message indexes, in pieces; `indexes`:
     channel -> where its message index begins, from the chunk's start; `counts`: messages of each
     channel; `sizes`: compressed, uncompressed."""

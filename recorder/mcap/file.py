@@ -5,7 +5,6 @@ Record layouts: the MCAP specification.
 
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from typing import IO, NamedTuple
@@ -15,6 +14,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Schema
 from mcap.stream_reader import get_chunk_data_stream
+from msgspec import Struct, field
 
 from trigpoint.contract.cdr import fault_in
 
@@ -33,8 +33,7 @@ class RawMessage(NamedTuple):
     sequence: int
 
 
-@dataclass(slots=True)
-class ChunkSpan:
+class ChunkSpan(Struct):
     """Where a chunk's content stands in the file, its log times and its messages by channel;
     `is_loose`: whether these are records outside of any chunk, as they stand in the file."""
 
@@ -46,8 +45,7 @@ class ChunkSpan:
     is_loose: bool = False
 
 
-@dataclass(slots=True)
-class McapIndex:
+class McapIndex(Struct):
     """What a file holds; `problems` says in words what of it is damaged or missing.
 
     `metadata`: the metadata records by name, the last one of a name.

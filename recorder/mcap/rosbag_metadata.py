@@ -1,11 +1,11 @@
 """metadata.yaml beside a recording: what makes its folder a bag that `ros2 bag` opens."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from io import StringIO
 from pathlib import Path
 from typing import Any
 
+from msgspec import Struct, field
 from ruamel.yaml import YAML, YAMLError
 from ruamel.yaml.scalarstring import LiteralScalarString
 
@@ -21,8 +21,7 @@ BAGS = (".mcap", ".db3", ".bag")
 _VERSION = 9  # rosbag2's of Jazzy
 
 
-@dataclass(frozen=True, slots=True)
-class PartFacts:
+class PartFacts(Struct, frozen=True):
     """One file of the bag: its name, first and last log time, messages of each key; `types`: those
     of keys that are not in the contract, or not of its type."""
 

@@ -7,7 +7,8 @@ import threading
 import tty
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from trigpoint.base.clock import Clock, to_ns, to_seconds
 from trigpoint.recorder.session.recording import LAST_NS
@@ -15,8 +16,7 @@ from trigpoint.recorder.session.recording import LAST_NS
 _LOOK_S = 0.1
 
 
-@dataclass(frozen=True, slots=True)
-class Span:
+class Span(Struct, frozen=True):
     """Which log times are replayed, both ends included, and whether again and again."""
 
     from_ns: int = 0

@@ -2,7 +2,8 @@
 
 import threading
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from trigpoint.base.clock import Clock
 from trigpoint.base.errors import InputError, OperationError
@@ -28,8 +29,7 @@ _DISCOVERY_S = 0.5
 """Subscribers need a moment to be known to a new publisher; what is put before is lost to them."""
 
 
-@dataclass(frozen=True, slots=True)
-class Route:
+class Route(Struct, frozen=True):
     """One key of the recording, and the key on the bus that its messages go to."""
 
     key: str
@@ -37,8 +37,7 @@ class Route:
     sent_as: str
 
 
-@dataclass(frozen=True, slots=True)
-class Plan:
+class Plan(Struct, frozen=True):
     """What is replayed; `left_out`: key -> why it is not."""
 
     routes: tuple[Route, ...]

@@ -6,12 +6,12 @@ Our own sessions are read by `recording`; this knows no key of the contract, onl
 import logging
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from msgspec import Struct
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
 from trigpoint.base.errors import MessageError, RecordingError
@@ -40,8 +40,7 @@ _LOG = logging.getLogger(__name__)
 _BY_TYPE = {codec.type_name: codec for codec in CODECS}
 
 
-@dataclass(frozen=True, slots=True)
-class RawImage:
+class RawImage(Struct, frozen=True):
     """A picture as sensor_msgs/msg/Image has it: `data` (n,) uint8, rows of `step` bytes if that is
     true."""
 
@@ -54,8 +53,7 @@ class RawImage:
     data: np.ndarray
 
 
-@dataclass(frozen=True, slots=True)
-class BagMessage:
+class BagMessage(Struct, frozen=True):
     """One message; `log_ns`: when it was recorded."""
 
     topic: str

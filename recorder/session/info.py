@@ -2,7 +2,9 @@
 
 import json
 from collections import Counter
-from dataclasses import asdict, dataclass, field
+
+from msgspec import Struct, field
+from msgspec.structs import asdict
 
 from trigpoint.base.clock import to_seconds
 from trigpoint.recorder.mcap.channels import attached_to
@@ -13,8 +15,7 @@ from .files import CLOCK, LOSSES, repeated_keys
 from .recording import Recording, key_of
 
 
-@dataclass(slots=True)
-class KeyInfo:
+class KeyInfo(Struct):
     """One key: `rate_hz` from its first to its last message, `longest_gap_s` between two of them,
     `lost` by the recorder's own count, `sequence_breaks` where messages are missing in the file."""
 
@@ -28,8 +29,7 @@ class KeyInfo:
     attachments: int = 0
 
 
-@dataclass(slots=True)
-class SessionInfo:
+class SessionInfo(Struct):
     """A whole session; times are log times."""
 
     files: list[str]
@@ -97,8 +97,7 @@ def info_lines(info: SessionInfo) -> list[str]:
     return lines
 
 
-@dataclass(slots=True)
-class _Track:
+class _Track(Struct):
     info: KeyInfo
     first_ns: int
     last_ns: int

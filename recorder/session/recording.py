@@ -32,8 +32,8 @@ _LOG = logging.getLogger(__name__)
 class RecordedSample(NamedTuple):
     """One message of a session, its payload as it was on the bus.
 
-    `log_ns`: when the recorder received it; `published_ns`: the sender's Zenoh timestamp. A tuple
-    rather than a dataclass, since reading creates a hundred thousand per second.
+    `log_ns`: when the recorder received it; `published_ns`: the sender's Zenoh timestamp. A tuple,
+    since reading creates a hundred thousand per second.
     """
 
     key: str

@@ -5,9 +5,9 @@ import logging
 import threading
 from collections import Counter
 from contextlib import suppress
-from dataclasses import dataclass
 
 import rerun as rr
+from msgspec import Struct
 
 from trigpoint.base.clock import to_ns
 from trigpoint.bus.bus import Bus, Sample
@@ -37,8 +37,7 @@ _GROWTH = 1.25
 _log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
-class _Waiting:
+class _Waiting(Struct, frozen=True):
     """A message that is to be drawn."""
 
     topic: Topic

@@ -1,11 +1,11 @@
 """Another network, or the truth, drawn over a session: any network.json or truth.json."""
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
 import numpy as np
 import rerun as rr
+from msgspec import Struct
 
 from trigpoint.base.errors import InputError
 from trigpoint.geometry import Pose
@@ -26,8 +26,7 @@ class _Truth(msgspec.Struct, frozen=True):
     robots: dict[str, str] = {}
 
 
-@dataclass(frozen=True, slots=True)
-class Overlay:
+class Overlay(Struct, frozen=True):
     """Camera poses and paths of robots, (n, 3), to be drawn in one colour."""
 
     name: str

@@ -7,9 +7,9 @@ viewer can say of each sighting how far it is off, and whether these explain tha
 from bisect import bisect_left
 from collections import deque
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.contract.messages import FaceSighting, PoseEstimate
 from trigpoint.geometry import CameraModel, Pose
@@ -24,8 +24,7 @@ _KEPT = 256
 _NEAREST_M = 0.05
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Residual:
+class Residual(Struct, frozen=True, eq=False):
     """One face: where its corners (n, 2) were seen and are expected; how far their middle is off,
     in pixels and in standard deviations; whether that is more than poses and sigmas explain."""
 
@@ -36,8 +35,7 @@ class Residual:
     contradicts: bool
 
 
-@dataclass(slots=True)
-class Eye:
+class Eye(Struct):
     """A located camera: where it is, and its lens; `time_offset_sigma_s` of its stamps."""
 
     estimate: PoseEstimate

@@ -13,12 +13,13 @@ import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO
 from urllib.parse import quote
 
 import rerun_cli
+from msgspec import Struct
+from msgspec.structs import replace
 
 from trigpoint.base.closing import Closing
 from trigpoint.base.ending import ENDING
@@ -37,8 +38,7 @@ _MEMORY = "2GB"
 """What the viewer may hold; beyond, the oldest goes. A live site may be watched for weeks."""
 
 
-@dataclass(frozen=True, slots=True)
-class Ports:
+class Ports(Struct, frozen=True):
     """`stream`: where data come in and viewers fetch them; `web`: the files of the web viewer."""
 
     stream: int

@@ -2,16 +2,16 @@
 
 import os
 from collections.abc import Iterable
-from dataclasses import dataclass
 from glob import escape
 from pathlib import Path
+
+from msgspec import Struct
 
 from trigpoint.base.disk import free_bytes
 from trigpoint.recorder.mcap.records import MAGIC
 
 
-@dataclass(frozen=True, slots=True)
-class Room:
+class Room(Struct, frozen=True):
     """`minimum_free`: bytes that stay free in `directory`, 0 where it does not matter; `prefix`:
     how the folders of this site's sessions begin. `frees_oldest`: finished ones may be removed for
     that; `budget`: bytes that all of them may take together, for which the oldest are removed in

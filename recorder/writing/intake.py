@@ -5,8 +5,9 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Collection
-from dataclasses import replace
 from functools import partial
+
+from msgspec.structs import replace
 
 from trigpoint.base.ending import ENDING
 from trigpoint.base.errors import BusError, MessageError

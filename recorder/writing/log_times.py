@@ -1,6 +1,6 @@
 """Log times that never step back, by a clock that may."""
 
-from dataclasses import dataclass
+from msgspec import Struct
 
 from trigpoint.base.clock import Clock, to_ns
 from trigpoint.recorder.mcap.writer import Message
@@ -10,8 +10,7 @@ _JUMP_NS = to_ns(0.05)
 second. A hundred times that is a step."""
 
 
-@dataclass(frozen=True, slots=True)
-class ClockJump:
+class ClockJump(Struct, frozen=True):
     """The machine's clock was set: by `seconds`, at a log time."""
 
     log_ns: int

@@ -3,9 +3,10 @@
 import json
 from bisect import bisect_left
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
+
+from msgspec import Struct
 
 from trigpoint.recorder.mcap.chunk import Compression
 from trigpoint.recorder.mcap.writer import McapWriter, Message
@@ -14,8 +15,7 @@ from trigpoint.recorder.session.files import CLOCK, LOSSES, PART
 from .log_times import ClockJump
 
 
-@dataclass(frozen=True, slots=True)
-class AttachedFile:
+class AttachedFile(Struct, frozen=True):
     """A file that every part of a session carries."""
 
     name: str

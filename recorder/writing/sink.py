@@ -11,12 +11,13 @@ import threading
 import uuid
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
 from itertools import compress
 from operator import attrgetter
 from pathlib import Path
 from types import TracebackType
 from typing import Self
+
+from msgspec import Struct
 
 from trigpoint.base.clock import Clock, to_ns
 from trigpoint.base.errors import OperationError
@@ -45,8 +46,7 @@ _DAY_NS = to_ns(86_400.0)
 _LOG = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
-class SinkSettings:
+class SinkSettings(Struct, frozen=True):
     """How a session is written. `split_bytes`, `split_s`: largest size and duration of a part, 0
     for no limit; `daily`: a new part with each day (UTC); `room`: None if disk space is not
     managed."""
@@ -59,6 +59,9 @@ class SinkSettings:
     room: Room | None = None
 
 
+USUAL = SinkSettings()
+
+
 class McapSink:
     """One session; its methods may be called from any thread and do not wait for the disk."""
 
@@ -67,7 +70,7 @@ class McapSink:
         path: Path,
         *,
         clock: Clock,
-        settings: SinkSettings = SinkSettings(),
+        settings: SinkSettings = USUAL,
         complain: Callable[[str], None] = lambda _: None,
     ) -> None:
         """Create the first part; raise OperationError if that fails or the file exists already.

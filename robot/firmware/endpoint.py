@@ -6,8 +6,9 @@ own clock.
 """
 
 from collections import deque
-from dataclasses import dataclass
 from uuid import UUID
+
+from msgspec import Struct
 
 from trigpoint.base.clock import to_ns
 from trigpoint.base.errors import MessageError
@@ -38,8 +39,7 @@ HEARTBEAT_EVERY_NS = to_ns(1.0)
 REMEMBERED = 32
 
 
-@dataclass(frozen=True, slots=True)
-class Applied:
+class Applied(Struct, frozen=True):
     """A correction that the firmware took over."""
 
     number: int

@@ -1,9 +1,9 @@
 """A run of corrections that agree with each other, but are not yet confirmed otherwise."""
 
-from dataclasses import dataclass
 from uuid import UUID
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.base.clock import to_ns, to_seconds
 from trigpoint.geometry import Pose
@@ -69,8 +69,7 @@ class Agreement:
         return f"{text}; {word.about(self)}"
 
 
-@dataclass(slots=True)
-class MapWord:
+class MapWord(Struct):
     """Fusion's last answer to what its map is (`fusion/map`)."""
 
     _maps: frozenset[UUID] = frozenset()

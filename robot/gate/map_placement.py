@@ -13,9 +13,9 @@ decisions/0304-corrections-are-fused-and-watched.md.
 """
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.base.clock import to_ns, to_seconds
 from trigpoint.geometry import Pose
@@ -38,8 +38,7 @@ _FOLLOW_NS = to_ns(0.25)
 _PLANAR_ROWS = [0, 1, 5]
 
 
-@dataclass(frozen=True, slots=True)
-class Measured:
+class Measured(Struct, frozen=True):
     """A correction at its moment; `covariance`: (6, 6), as sent."""
 
     at: Stamped
@@ -47,16 +46,14 @@ class Measured:
     covariance: Array
 
 
-@dataclass(frozen=True, slots=True)
-class Contradiction:
+class Contradiction(Struct, frozen=True):
     """Why a correction does not fit; `is_pull`: by the sum of earlier steps, not by its own."""
 
     text: str
     is_pull: bool
 
 
-@dataclass(frozen=True, slots=True)
-class _Look:
+class _Look(Struct, frozen=True):
     """A correction compared with the n rows, all carried forward to its moment: their poses and
     `covariances` (n, 8, 8); for the k (3 or 6) checked coordinates, `shown` (n, k, k) of these,
     `theirs` (k, k) of the correction, and the `differences` (n, k) to it."""

@@ -5,11 +5,11 @@ as its odometry does. So every doubtful correction is refused, and counted by re
 behind the limits is in decisions/0302-which-corrections-reach-a-robot.md and 0304.
 """
 
-from dataclasses import dataclass
 from enum import StrEnum
 from uuid import UUID
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.base.clock import to_ns, to_seconds
 from trigpoint.contract.correction import CorrectionMark
@@ -54,8 +54,7 @@ class Refusal(StrEnum):
     WAITING = "waiting"
 
 
-@dataclass(frozen=True, slots=True)
-class Approved:
+class Approved(Struct, frozen=True):
     """Pass this on. `firmware_ns`: its time by the firmware's clock; `map_from_base`, `covariance`
     (6, 6): the estimate after fusing this correction; `establishes`: the pose may be anywhere, for
     the reason `why`, "" otherwise."""
@@ -71,8 +70,7 @@ class Approved:
         return self.at.firmware_ns
 
 
-@dataclass(frozen=True, slots=True)
-class Refused:
+class Refused(Struct, frozen=True):
     """Do not pass it on; `text` is one line for a person."""
 
     reason: Refusal

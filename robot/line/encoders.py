@@ -5,7 +5,7 @@ site file's `max_speed` and `max_turn` allow; and counts near zero after a silen
 that restarted, unless the robot may have been on its way there.
 """
 
-from dataclasses import dataclass
+from msgspec import Struct
 
 from trigpoint.base.clock import to_seconds
 from trigpoint.site.config import RobotConfig
@@ -22,8 +22,7 @@ SILENT_S = 0.25
 _BEGUN_S = 0.25
 
 
-@dataclass(frozen=True, slots=True)
-class Turned:
+class Turned(Struct, frozen=True):
     """How far the wheels turned since the last answer. `restarted`: the board counts anew, and how
     far they turned is unknown; `narrowed`: the counts were just found to be of 16 bits."""
 

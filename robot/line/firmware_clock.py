@@ -10,9 +10,9 @@ NTP's clock filter, Mills, RFC 5905, section 10; the weighted line replaces its 
 """
 
 from collections import deque
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.base.clock import to_ns
 
@@ -34,8 +34,7 @@ CONTRADICTIONS = 3
 CONTRADICTION_NS = to_ns(0.001)
 
 
-@dataclass(frozen=True, slots=True)
-class _Line:
+class _Line(Struct, frozen=True):
     """machine = firmware + offset + drift · (firmware - origin), nanoseconds."""
 
     origin_ns: int

@@ -6,7 +6,8 @@ moving; iRobot's stays in passive mode.
 """
 
 import time
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from trigpoint.base.clock import to_ns
 from trigpoint.base.errors import PortError, TrigpointError
@@ -28,8 +29,7 @@ CANDIDATES = (
 LISTEN_S = 1.3
 
 
-@dataclass(frozen=True, slots=True)
-class Guess:
+class Guess(Struct, frozen=True):
     """What somebody at a port answered in; `who` is what it says of itself."""
 
     protocol: str

@@ -11,10 +11,11 @@ group `trigpoint.protocols`; both name a class that is built from a `Setup`.
 import importlib
 import typing
 from collections.abc import Callable
-from dataclasses import dataclass
 from enum import StrEnum
 from importlib.metadata import entry_points
 from uuid import UUID
+
+from msgspec import Struct
 
 from trigpoint.base.errors import ConfigError
 from trigpoint.geometry import Pose
@@ -30,8 +31,7 @@ PROTOCOLS = {
 ENTRY_POINTS = "trigpoint.protocols"
 
 
-@dataclass(frozen=True, slots=True)
-class Setup:
+class Setup(Struct, frozen=True):
     """The arguments from which a protocol is built.
 
     `boot`: a number that no earlier bridge of this robot had; `unix_ns`: when this one started;
@@ -62,8 +62,7 @@ class StampClock(StrEnum):
     UNIX = "unix"
 
 
-@dataclass(frozen=True, slots=True)
-class Traits:
+class Traits(Struct, frozen=True):
     """What a protocol can carry. `lacks`: what it cannot, in words, logged at the start."""
 
     takes: Takes
@@ -71,8 +70,7 @@ class Traits:
     lacks: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class Connected:
+class Connected(Struct, frozen=True):
     """The robot identified itself. `boot` differs each time its firmware starts."""
 
     robot: str
@@ -80,15 +78,13 @@ class Connected:
     boot: int
 
 
-@dataclass(frozen=True, slots=True)
-class Mismatched:
+class Mismatched(Struct, frozen=True):
     """The device that answered cannot be used; `text` says why and what to do."""
 
     text: str
 
 
-@dataclass(frozen=True, slots=True)
-class Reading:
+class Reading(Struct, frozen=True):
     """One reading of the odometry: base in the firmware's own odometry frame. `firmware_ns`: by the
     clock that the protocol's traits name; `received_ns`: this machine's monotonic clock on
     arrival; `doubt_ns`: how much earlier or later than `firmware_ns` it may have been taken, where
@@ -102,8 +98,7 @@ class Reading:
     doubt_ns: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class ClockExchange:
+class ClockExchange(Struct, frozen=True):
     """The firmware's clock read `firmware_ns` at some time between `sent_ns` and `received_ns`: in
     the middle, if both directions take equally long."""
 
@@ -112,8 +107,7 @@ class ClockExchange:
     received_ns: int
 
 
-@dataclass(frozen=True, slots=True)
-class Acknowledged:
+class Acknowledged(Struct, frozen=True):
     """The firmware answered a correction; `reason` is "" if it was accepted."""
 
     number: int
@@ -122,15 +116,13 @@ class Acknowledged:
     round_trip_ns: int
 
 
-@dataclass(frozen=True, slots=True)
-class Unanswered:
+class Unanswered(Struct, frozen=True):
     """A correction that was not answered, although it was repeated."""
 
     number: int
 
 
-@dataclass(frozen=True, slots=True)
-class Vitals:
+class Vitals(Struct, frozen=True):
     """The firmware's own counts since it started."""
 
     received: int
@@ -145,8 +137,7 @@ class DamageKind(StrEnum):
     CONTENT = "content"
 
 
-@dataclass(frozen=True, slots=True)
-class Damaged:
+class Damaged(Struct, frozen=True):
     """Received bytes that were discarded. `text`: what they were and what to do, where more than
     noise on the line must be wrong."""
 
@@ -154,20 +145,17 @@ class Damaged:
     text: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Missing:
+class Missing(Struct, frozen=True):
     """Frames that were sent but did not arrive, by their sequence numbers."""
 
     frames: int
 
 
-@dataclass(frozen=True, slots=True)
-class Silent:
+class Silent(Struct, frozen=True):
     """Nothing arrived for a while; the protocol asks again who is there."""
 
 
-@dataclass(frozen=True, slots=True)
-class Advice:
+class Advice(Struct, frozen=True):
     """What is used as it comes, but had better be written in the site file."""
 
     text: str
@@ -188,8 +176,7 @@ Event = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class RobotCorrection:
+class RobotCorrection(Struct, frozen=True):
     """A correction as sent to a robot: the pose of its base when its own clock read `firmware_ns`.
 
     `covariance`: (6, 6), as in the contract; `establishes`: the pose may be anywhere, because it is
@@ -205,8 +192,7 @@ class RobotCorrection:
     establishes: bool
 
 
-@dataclass(frozen=True, slots=True)
-class LocatedPose:
+class LocatedPose(Struct, frozen=True):
     """A robot's current pose, for protocols that take poses. `firmware_ns`: by their clock;
     `covariance`: (6, 6), as in the contract; `resets`: how often the robot was placed anew."""
 

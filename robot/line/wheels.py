@@ -6,17 +6,16 @@ evenly.
 """
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.site.config import WheelConfig
 
 
-@dataclass(frozen=True, slots=True)
-class WheelGeometry:
+class WheelGeometry(Struct, frozen=True):
     """`left_m`, `right_m`: metres per count; `track_m`: between the wheels' contact points; `bits`:
     width of the counters, at which they wrap."""
 

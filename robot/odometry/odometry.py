@@ -1,14 +1,14 @@
 """Turns the firmware's readings into bus messages: time, frame names, restarts."""
 
-from dataclasses import dataclass, replace
+from msgspec import Struct
+from msgspec.structs import replace
 
 from trigpoint.contract.messages import Odometry
 from trigpoint.geometry import Pose
 from trigpoint.robot.line.protocol import Reading
 
 
-@dataclass(frozen=True, slots=True)
-class Stamped:
+class Stamped(Struct, frozen=True):
     """A published pose. `stamp_ns`: Unix time; `firmware_ns`: the firmware's clock then."""
 
     stamp_ns: int

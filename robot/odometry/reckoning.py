@@ -8,9 +8,9 @@ is, so many covariances are carried forward together.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.contract.odometry_noise import step_variances
 from trigpoint.geometry import Pose
@@ -21,8 +21,7 @@ from trigpoint.site.config import OdometryNoise
 POSE = slice(0, 6)
 
 
-@dataclass(frozen=True, slots=True)
-class Step:
+class Step(Struct, frozen=True):
     """The effect of one step on covariances: `carry` @ c @ `carry`ᵀ + `added`, (8, 8)."""
 
     carry: Array

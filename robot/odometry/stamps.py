@@ -1,6 +1,6 @@
 """When readings were taken: by the firmware's clock, by arrival, or by their own stamps."""
 
-from dataclasses import dataclass
+from msgspec import Struct
 
 from trigpoint.base.clock import Clock, to_ns, to_seconds
 from trigpoint.contract.messages import Mended
@@ -16,8 +16,7 @@ _STEP_NS = to_ns(0.01)
 _DOUBT_NS = to_ns(0.05)
 
 
-@dataclass(frozen=True, slots=True)
-class Offset:
+class Offset(Struct, frozen=True):
     """Nanoseconds to add to this machine's monotonic clock to get Unix time.
 
     Measured again only once a newly set clock is trusted: stamps must not jump when it is set.

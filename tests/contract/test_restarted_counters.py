@@ -1,10 +1,10 @@
 """A robot whose counters restart: what the bridge makes of it is what fusion can go on with."""
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from support.fusion.drives import EPOCH_NS, Sent, Session, lab_plan, make_session, pushed
 from support.fusion.honesty import assert_honest
 

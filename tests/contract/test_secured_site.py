@@ -7,12 +7,12 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
-from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
 import zenoh
+from msgspec.structs import replace
 from support.builders import eventually
 from support.site.secured import SecuredSite, needs_zenohd
 

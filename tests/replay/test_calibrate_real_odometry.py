@@ -1,12 +1,12 @@
 """`calibrate` over ten minutes of a real robot's odometry, from nothing, against its truth."""
 
-from dataclasses import replace
 from functools import cache
 from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from support.builders import REAL_DATA
 
 from trigpoint.fusion.association.events import Events

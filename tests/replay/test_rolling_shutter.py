@@ -1,10 +1,9 @@
 """A drive before cameras with rolling shutters, from pictures drawn row by row to the network."""
 
-from dataclasses import dataclass
-
 import msgspec
 import numpy as np
 import pytest
+from msgspec import Struct
 
 from trigpoint.base.clock import to_ns
 from trigpoint.contract.messages import Odometry, Sightings
@@ -47,8 +46,7 @@ odometry = {{ distance = 0.001, lateral = 0.0005, heading_drive = 0.001, heading
 """
 
 
-@dataclass(frozen=True, slots=True)
-class Drive:
+class Drive(Struct, frozen=True):
     """A world, its site file, and what came in, in order of time."""
 
     world: World

@@ -1,7 +1,8 @@
 """Nodes and alarms as the page shows them, in the words that `status` has. Pure."""
 
 from collections import deque
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from trigpoint.base.words import numberless
 from trigpoint.tools.site.state import NodeStatus, SiteStatus, notes
@@ -15,8 +16,7 @@ _MOST_OVER = 40
 _NODE = "node/"
 
 
-@dataclass(slots=True)
-class _Alarm:
+class _Alarm(Struct):
     number: int
     node: str
     since_s: float

@@ -4,9 +4,9 @@ import asyncio
 import math
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
-from dataclasses import dataclass
 from urllib.parse import parse_qs
 
+from msgspec import Struct
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
@@ -52,8 +52,7 @@ def assets() -> dict[str, bytes]:
     return packaged("trigpoint.tools.board", ASSETS)
 
 
-@dataclass(frozen=True, slots=True)
-class Board:
+class Board(Struct, frozen=True):
     """What the addresses give. `picture`: PNG of the floor's «plan» or «grid»; `metrics`: those of
     all nodes, as Prometheus reads them; `commands`: None where the page only reads."""
 

@@ -1,9 +1,9 @@
 """How well robots are corrected where, as a picture that lies over the page's floor."""
 
 import zlib
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.geometry import Pose
 from trigpoint.tools.pages.floor_plan import picture_matrix, png
@@ -15,8 +15,7 @@ _ALPHA = 120
 _MOST_CELLS = 16_000_000
 
 
-@dataclass(frozen=True, slots=True)
-class GridPicture:
+class GridPicture(Struct, frozen=True):
     """`png`: green where robots are corrected best, red where not at all, clear where unknown;
     `fields`: where it lies."""
 

@@ -3,9 +3,9 @@
 import threading
 import zlib
 from collections import deque
-from dataclasses import dataclass, field
 
 import msgspec
+from msgspec import Struct, field
 
 from .entities import Change, Entities, Whole, apply
 
@@ -18,8 +18,7 @@ _STATE = msgspec.json.Decoder(Entities)
 _CHANGE = msgspec.json.Decoder(Change)
 
 
-@dataclass(frozen=True, slots=True)
-class _Minute:
+class _Minute(Struct, frozen=True):
     t: float
     state: bytes
     changes: list[tuple[float, bytes]] = field(default_factory=list)

@@ -5,8 +5,10 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
 from typing import Any
+
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from trigpoint.base.errors import InputError, MessageError, OperationError
 from trigpoint.bus.bus import Bus, Subscription
@@ -22,8 +24,7 @@ _SIGHTINGS = 64
 _POLL_S = 0.05
 
 
-@dataclass(slots=True)
-class _Watch:
+class _Watch(Struct):
     pictures: Subscription
     sightings: Subscription
     asked_s: float = 0.0

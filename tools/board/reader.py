@@ -4,7 +4,8 @@ import logging
 import threading
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
+
+from msgspec.structs import replace
 
 from trigpoint import CONTRACT, __version__
 from trigpoint.base.clock import to_seconds

@@ -1,8 +1,9 @@
 """The estimator over a recorded session or anybody's bag; prints nothing."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
+
+from msgspec import Struct
 
 from trigpoint.base.errors import InputError, OperationError
 from trigpoint.contract.messages import Message
@@ -18,8 +19,7 @@ from trigpoint.tools.sessions.inputs import session_inputs
 from trigpoint.tools.sessions.messages import SessionMessages, messages_of
 
 
-@dataclass(frozen=True, slots=True)
-class Task:
+class Task(Struct, frozen=True):
     """What is to be worked out: the session at `path`, or anybody's bag (`recording` None) with the
     `topics` «camera or robot=topic» of it, and the inputs beside its messages."""
 

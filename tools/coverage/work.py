@@ -1,10 +1,11 @@
 """From a network or a session to the maps of corrections, and those with one more camera."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from trigpoint.base.errors import InputError
 from trigpoint.fusion.coverage.accuracy_map import AccuracyMap, accuracy_map
@@ -24,8 +25,7 @@ MOST_CELLS = 4_000_000
 """A floor of 200 m × 200 m; beyond it something is not where it should be."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Known:
+class Known(Struct, frozen=True, eq=False):
     """What the maps are made from. `carried`: what robots carry; `driven` (n, 2): where they
     drove."""
 
@@ -35,8 +35,7 @@ class Known:
     driven: Array
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Gain:
+class Gain(Struct, frozen=True, eq=False):
     """What a candidate would add. `now`, `then`: the maps without and with it."""
 
     camera: str

@@ -5,10 +5,10 @@ import sys
 import time
 from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
+from msgspec import Struct
 
 from trigpoint.base.clock import NANOSECONDS, to_ns
 from trigpoint.base.errors import OperationError
@@ -38,8 +38,7 @@ class NotUpInTimeError(OperationError):
     """The robot moved before everybody was there to see it."""
 
 
-@dataclass(frozen=True, slots=True)
-class Run:
+class Run(Struct, frozen=True):
     world: World
     folder: DemoFolder
     seconds: float

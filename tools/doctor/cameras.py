@@ -2,8 +2,9 @@
 boards in its pictures, if they are files on this machine."""
 
 import threading
-from dataclasses import dataclass
 from itertools import islice
+
+from msgspec import Struct
 
 from trigpoint.base.checks import Check
 from trigpoint.base.clock import SteadyClock, to_ns, to_seconds
@@ -28,8 +29,7 @@ _SLOW = 0.7
 _OLD_S = 1.0
 
 
-@dataclass(frozen=True, slots=True)
-class Glance:
+class Glance(Struct, frozen=True):
     """What arrived in a moment: pictures, their size, rate and age, and the clock of their
     stamps."""
 

@@ -6,8 +6,9 @@ import pwd
 import shutil
 import subprocess
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
+
+from msgspec import Struct
 
 from trigpoint.base.checks import Check
 from trigpoint.base.errors import InputError, writing
@@ -27,8 +28,7 @@ ENV{ID_MM_DEVICE_IGNORE}="1"
 _RUN_S = 120.0
 
 
-@dataclass(frozen=True, slots=True)
-class Fix:
+class Fix(Struct, frozen=True):
     """One repair: a file to write, and the commands to run afterwards."""
 
     name: str

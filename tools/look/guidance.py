@@ -7,10 +7,10 @@ a share by which it is met; the kind that is met least comes next, and of it the
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
+from msgspec import Struct
 from msgspec.structs import replace
 
 from trigpoint.edge.lens.calibration import Calibration
@@ -47,8 +47,7 @@ class Kind(StrEnum):
     DISTANCE = "distance"
 
 
-@dataclass(frozen=True, slots=True)
-class Need:
+class Need(Struct, frozen=True):
     """`share`: how far it is met, 1 where it is; `advice`: what to do for it."""
 
     kind: Kind
@@ -75,8 +74,7 @@ def needs(views: Sequence[View], camera: CameraModel) -> tuple[Need, ...]:
     return (*_places(coverage(views, size)), *_tilts(views, camera), *_distances(views, size))
 
 
-@dataclass(frozen=True, slots=True)
-class Step:
+class Step(Struct, frozen=True):
     """What to do now, and the name of the need that it is for, "" of none."""
 
     advice: str

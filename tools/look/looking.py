@@ -3,10 +3,10 @@
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from msgspec import Struct
 from msgspec.structs import replace
 
 from trigpoint.base.clock import SteadyClock, to_ns
@@ -37,8 +37,7 @@ _ALL_VIEWS = "the lens of all views is being worked out"
 _FROZEN = "the camera gives the same picture again and again; see whether it is on"
 
 
-@dataclass(frozen=True, slots=True)
-class Wishes:
+class Wishes(Struct, frozen=True):
     """What is looked at, and what for.
 
     `lens`: where it is known; `out`: where a lens is written, None where none is taken;
@@ -55,8 +54,7 @@ class Wishes:
     seconds: float | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Result:
+class Result(Struct, frozen=True):
     """How it ended. `lens`: the newest that was worked out; `written`: its files; `missing`: why
     there are none where a lens was wanted; `hints`: what the target file has wrong."""
 

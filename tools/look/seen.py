@@ -2,10 +2,11 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from trigpoint.base.clock import to_seconds
 from trigpoint.contract.messages import FaceSighting
@@ -30,8 +31,7 @@ MOST_BEND = 5e-4
 it tells a wrong lens. It is half of what may be left where a model explains the views at all."""
 
 
-@dataclass(frozen=True, slots=True)
-class Seen:
+class Seen(Struct, frozen=True):
     """One face. `square_px`: side of a square, in the middle; `sigma_px`: of a corner's coordinate;
     `edge_px`, `across_px`: width of an edge where it is widest and narrowest; `speed_px`: how fast
     it moves, pixels a second, 0 where that is not known; `bend_px`: what a rolling shutter may make

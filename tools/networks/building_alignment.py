@@ -1,10 +1,10 @@
 """Aligns a calibration's map with its building, writes the result and describes it."""
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.base.errors import InputError
 from trigpoint.base.terminal import table
@@ -14,8 +14,7 @@ from trigpoint.map.floor_plan import FloorPlan
 from trigpoint.site.config import Site
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Alignment:
+class Alignment(Struct, frozen=True, eq=False):
     """`building`: None if the site file has no [map], or the map cannot be aligned; `problem`: the
     reason, "" if all is well."""
 

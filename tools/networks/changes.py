@@ -7,10 +7,10 @@ difference, against its uncertainty in both and that of the alignment, says whet
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.base.errors import InputError
 from trigpoint.base.terminal import table
@@ -28,8 +28,7 @@ _ROUNDS = 10
 _SETTLED = 1e-12  # metres and radians
 
 
-@dataclass(frozen=True, slots=True)
-class Change:
+class Change(Struct, frozen=True):
     """One camera: how far it moved and turned, χ² with six degrees of freedom, and the probability
     of at least as much for a camera that stayed."""
 
@@ -41,8 +40,7 @@ class Change:
     has_moved: bool
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Pairs:
+class _Pairs(Struct, frozen=True, eq=False):
     """Cameras (n) in both networks: their poses and covariances (n, 6, 6)."""
 
     old: Pose

@@ -7,9 +7,10 @@ For Gaussian noise the information is the normal equations' matrix at the true s
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
 
 import numpy as np
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from trigpoint.fusion.model.assembly import Assembled, assemble
 from trigpoint.fusion.model.dataset import DataSet, Entry
@@ -27,8 +28,7 @@ from .distances import expected_error, joint_distances
 _AWAY = Pose.planar(1e6, 0.0, 0.0)
 
 
-@dataclass(frozen=True, slots=True)
-class Bound:
+class Bound(Struct, frozen=True):
     """`cameras`: names in order; `covariance`: (6n, 6n) of their poses; `places`: (n, 3), true."""
 
     cameras: list[str]
@@ -51,8 +51,7 @@ class Bound:
         return expected_error(np.sqrt(np.diagonal(covariance)))
 
 
-@dataclass(frozen=True, slots=True)
-class Oracle:
+class Oracle(Struct, frozen=True):
     """The truth. `cameras`: where each is, with its lens and time offset; `places`: observations
     with the robot's true pose at each. One that has no `chosen` readings is read as it fits best.
     What a mapping leaves out is as the site says: no scale errors (2,), faces where the target file

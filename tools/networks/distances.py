@@ -5,12 +5,12 @@ import itertools
 import json as json_text
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import typer
+from msgspec import Struct
 
 from trigpoint.base.errors import InputError, read_text
 from trigpoint.base.terminal import table
@@ -25,8 +25,7 @@ _MOST_TAPE_SIGMA_M = 1.0
 _FAR_SIGMAS = 3.0
 
 
-@dataclass(frozen=True, slots=True)
-class Measured:
+class Measured(Struct, frozen=True):
     """A tape measure's distance between two cameras, and its standard deviation; metres."""
 
     first: str
@@ -35,8 +34,7 @@ class Measured:
     sigma_m: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Distances:
+class Distances(Struct, frozen=True, eq=False):
     """Distances by the network (n,) between pairs, and their joint covariance (n, n); metres."""
 
     pairs: tuple[tuple[str, str], ...]
@@ -53,8 +51,7 @@ class Distances:
         return expected_error(self.sigmas_m) if self.pairs else None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Comparison:
+class Comparison(Struct, frozen=True, eq=False):
     """The network beside a tape measure: `difference_m` (n,) network minus tape, and its joint
     covariance (n, n), which holds both uncertainties."""
 

@@ -1,10 +1,10 @@
 """The ground truth that a simulator writes beside a session, and errors against it."""
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.base.errors import InputError, read_text
 from trigpoint.geometry import Pose
@@ -24,8 +24,7 @@ class TruthFile(msgspec.Struct, frozen=True):
     robots: dict[str, str] = {}
 
 
-@dataclass(frozen=True, slots=True)
-class CameraError:
+class CameraError(Struct, frozen=True):
     """A located camera against the truth: metres, radians, and the distance in its own sigmas.
 
     `sigmas`: root of eᵀP⁻¹e over the position's three coordinates.
@@ -36,8 +35,7 @@ class CameraError:
     sigmas: float
 
 
-@dataclass(frozen=True, slots=True)
-class NetworkError:
+class NetworkError(Struct, frozen=True):
     """A network against the truth.
 
     `distance`: mean absolute error of the distances between cameras, metres; `nees`: eᵀP⁻¹e over

@@ -1,8 +1,9 @@
 """The files of an archive: bytes and modes by their path in it."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
+
+from msgspec import Struct
 
 from trigpoint.base.errors import ConfigError, InputError, read_text
 from trigpoint.recorder.writing.attachments import site_files
@@ -15,8 +16,7 @@ from .machine import Node, Role
 PUBLIC, PRIVATE, EXECUTABLE = 0o644, 0o600, 0o755
 
 
-@dataclass(frozen=True, slots=True)
-class Packed:
+class Packed(Struct, frozen=True):
     path: str
     data: bytes
     mode: int = PUBLIC

@@ -2,11 +2,11 @@
 
 import os
 import re
-from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 
-from msgspec import structs
+from msgspec import Struct, structs
+from msgspec.structs import replace
 
 from trigpoint import __version__
 from trigpoint.base.errors import ConfigError, InputError
@@ -34,8 +34,7 @@ _ENDPOINTS = re.compile(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Node:
+class Node(Struct, frozen=True):
     """A node of the site that is to run on a machine of its own."""
 
     role: Role

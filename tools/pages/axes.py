@@ -1,9 +1,9 @@
 """The frame of a chart: scales, grid lines and their labels."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import ArrayLike
 
 from trigpoint.geometry.rotation import Array
@@ -13,8 +13,7 @@ from .svg import drawing, element, group, line, text
 LEFT, RIGHT, TOP, BOTTOM = 46.0, 14.0, 14.0, 34.0
 
 
-@dataclass(frozen=True, slots=True)
-class Scale:
+class Scale(Struct, frozen=True):
     """From values to one axis of a drawing; `start` and `end` are where `low` and `high` lie."""
 
     low: float
@@ -46,8 +45,7 @@ def _round_step(step: float) -> float:
     return float(power * next(n for n in (1, 2, 5, 10) if n * power >= step - 1e-12))
 
 
-@dataclass(frozen=True, slots=True)
-class Axes:
+class Axes(Struct, frozen=True):
     width: float
     height: float
     across: Scale

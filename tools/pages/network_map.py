@@ -1,9 +1,9 @@
 """A network from above: cameras with their ellipses, ways, where to go next, what lies beneath."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
+from msgspec import Struct, field
 
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
@@ -38,8 +38,7 @@ _WALLS_M = 1.5
 """More room where a floor plan lies under the map, so that the walls around are on it."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Way:
+class Way(Struct, frozen=True, eq=False):
     """Where a robot went: metres (n, 2), heading (n,), and in words what this way of it is; its
     ends are marked where it is the best that is known."""
 
@@ -50,8 +49,7 @@ class Way:
     is_best: bool = True
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class NetworkMap:
+class NetworkMap(Struct, frozen=True, eq=False):
     """What is drawn: the cameras and, where it is known, where they truly are; ways; next poses,
     numbered where they are several; walls (n, 2, 2), or the building's floor plan."""
 
@@ -132,8 +130,7 @@ class NetworkMap:
             yield circle(17, 7, 6, class_="next"), self.suggestion_words
 
 
-@dataclass(frozen=True, slots=True)
-class _Camera:
+class _Camera(Struct, frozen=True):
     """One camera's marks, in its colour."""
 
     name: str

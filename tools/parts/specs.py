@@ -3,9 +3,10 @@
 import shutil
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
 from itertools import chain
 from pathlib import Path
+
+from msgspec.structs import replace
 
 from .supervisor import PartSpec
 

@@ -5,8 +5,9 @@ import signal
 import subprocess
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import BinaryIO, Self
+
+from msgspec import Struct
 
 from trigpoint.base.closing import Closing
 from trigpoint.base.errors import InputError, OperationError, TrigpointError
@@ -24,8 +25,7 @@ is no part that does not stay alive."""
 _REFUSED = 2  # the exit status of what is wrong with a file or with a command's words
 
 
-@dataclass(frozen=True, slots=True)
-class PartSpec:
+class PartSpec(Struct, frozen=True):
     """One process. Parts of a lower `rank` stop first, those of one rank together; one that is not
     `needed` (a window that the user may close) is not started again; one that is `optional` is, but
     where it does not stay alive the others go on without it."""

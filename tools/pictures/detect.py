@@ -3,13 +3,13 @@
 import json
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import cv2
 import numpy as np
 import typer
+from msgspec import Struct
 
 from trigpoint.base.errors import InputError
 from trigpoint.base.words import counted
@@ -41,8 +41,7 @@ NOTHING_NEAR = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Still:
+class Still(Struct, frozen=True):
     """One grey picture; `name`: its name in the output; `stem`: in drawings."""
 
     name: str

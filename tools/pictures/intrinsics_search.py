@@ -6,11 +6,11 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import ExitStack, closing
-from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 
 import cv2
+from msgspec import Struct
 
 from trigpoint.base.errors import InputError, OperationError
 from trigpoint.base.terminal import Progress
@@ -30,8 +30,7 @@ _AHEAD = 2
 _MOST_NAMED = 5
 
 
-@dataclass(frozen=True, slots=True)
-class Searched:
+class Searched(Struct, frozen=True):
     """`count` pictures of `size` (width, height), and the views in them, in order; `misdescribed`:
     what they show that the target file describes wrongly, with what to write; `account`: what was
     left out, or scaled."""

@@ -8,7 +8,6 @@ anchors of all who may come in; to revoke is to take one out (decisions/0711).
 import ipaddress
 import os
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+from msgspec import Struct
 
 from trigpoint.base.errors import InputError, writing
 from trigpoint.contract.access import Identity, Kind
@@ -40,8 +40,7 @@ _LONGEST_NAME = 64
 LOOPBACK_NAMES = ("localhost", "127.0.0.1", "::1")
 
 
-@dataclass(frozen=True, slots=True)
-class Listed:
+class Listed(Struct, frozen=True):
     """One node as `secure list` shows it. `state`: ok, expiring, expired or revoked."""
 
     identity: Identity

@@ -1,8 +1,9 @@
 """Reads any bag as a session for `calibrate`: which topic is which camera or robot."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
+
+from msgspec import Struct
 
 from trigpoint.base.errors import InputError, MessageError
 from trigpoint.contract.messages import (
@@ -22,8 +23,7 @@ from trigpoint.tools.pictures.bag import grey_of
 from .messages import SessionMessages
 
 
-@dataclass(frozen=True, slots=True)
-class Role:
+class Role(Struct, frozen=True):
     """What a topic is: of the camera or robot `name`."""
 
     name: str

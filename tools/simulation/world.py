@@ -7,12 +7,12 @@ named by the seed, by what it is for and by whom, so that nothing depends on the
 
 import itertools
 import zlib
-from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
-from msgspec import structs
+from msgspec import Struct, structs
+from msgspec.structs import replace
 from numpy.typing import ArrayLike
 
 from trigpoint.base.errors import InputError
@@ -33,8 +33,7 @@ _Item = TypeVar("_Item")
 _ROLLED_ROUNDS = 4
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Shown:
+class Shown(Struct, frozen=True, eq=False):
     """A sighting, and what an oracle knows of it: the robot's face, by the half turn where
     `is_turned`, and which corners (n,) bool have nothing but their noise."""
 

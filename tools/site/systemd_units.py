@@ -11,8 +11,9 @@ cannot gain privileges (`systemd-analyze security` says 3.0 at most).
 
 import getpass
 import sys
-from dataclasses import dataclass
 from pathlib import Path
+
+from msgspec import Struct
 
 from trigpoint.contract.access import Kind
 
@@ -24,8 +25,7 @@ SERVICE_USER = "trigpoint"
 """The user of the nodes if root writes the units: no node runs as root."""
 
 
-@dataclass(frozen=True, slots=True)
-class Unit:
+class Unit(Struct, frozen=True):
     """One kind of node. `words`: the program's arguments; `group`: whose devices it opens, which
     are `devices` (systemd.resource-control(5)); `writes`: whether it writes files."""
 

@@ -1,16 +1,16 @@
 """Questions with answers that are checked: from a person, from a file, or the defaults."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import TextIO
+
+from msgspec import Struct
 
 from trigpoint.base.errors import InputError
 
 _MOST_TRIES = 5
 
 
-@dataclass(frozen=True, slots=True)
-class Question:
+class Question(Struct, frozen=True):
     """`check` makes an answer what is gone on with, or raises InputError that says what is wrong
     with it."""
 

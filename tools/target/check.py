@@ -1,9 +1,9 @@
 """What is wrong with a target, and what its user should know."""
 
-from dataclasses import dataclass
 from itertools import combinations, product
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.base.errors import TargetError
 from trigpoint.edge.registration.dictionaries import predefined_dictionary
@@ -14,8 +14,7 @@ _TOUCH_M = 1e-4
 _PARALLEL = 1e-6
 
 
-@dataclass(frozen=True, slots=True)
-class Findings:
+class Findings(Struct, frozen=True):
     """`problems` must be fixed; `notes` describe how the target behaves."""
 
     problems: tuple[str, ...]

@@ -5,9 +5,8 @@ A camera must see a square from afar, so that large squares come before many.
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
-from msgspec import structs
+from msgspec import Struct, structs
 
 from trigpoint.base.errors import TargetError
 from trigpoint.edge.registration.dictionaries import predefined_dictionary
@@ -29,8 +28,7 @@ _DICTIONARIES = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Wish:
+class Wish(Struct, frozen=True):
     """What is said of a board; None: to be chosen. `square`: metres, of a grid the pitch."""
 
     pattern: Pattern = Pattern.CHARUCO

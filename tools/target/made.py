@@ -2,9 +2,9 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.base.errors import InputError, TargetError
 from trigpoint.site.target import Face, Target
@@ -20,8 +20,7 @@ _ROUNDING_M = 1e-6
 _SEEN_M = 5e-4  # less is not worth a word
 
 
-@dataclass(frozen=True, slots=True)
-class Box:
+class Box(Struct, frozen=True):
     """A box on the robot, metres: along it, across it, and upwards."""
 
     length: float
@@ -48,8 +47,7 @@ class Box:
         return wide - 2 * MARGIN_M, self.tall - 2 * MARGIN_M
 
 
-@dataclass(frozen=True, slots=True)
-class Place:
+class Place(Struct, frozen=True):
     """Where a target is on the robot, metres: the middle of its boards above the floor, its axis
     forward and left of the base."""
 
@@ -57,8 +55,7 @@ class Place:
     at: tuple[float, float] = (0.0, 0.0)
 
 
-@dataclass(frozen=True, slots=True)
-class Made:
+class Made(Struct, frozen=True):
     """A target, and of each face by its id where it is, for people."""
 
     target: Target

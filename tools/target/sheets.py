@@ -1,8 +1,9 @@
 """Sheets of paper that a face is printed on, and the room for a pattern on each."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from enum import StrEnum
+
+from msgspec import Struct
 
 from trigpoint.site.target import Face
 from trigpoint.tools.shapes.upright import print_size
@@ -33,8 +34,7 @@ SIZES_MM = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Sheet:
+class Sheet(Struct, frozen=True):
     """A page: its name for people, and its size in millimetres."""
 
     name: str

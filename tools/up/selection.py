@@ -6,9 +6,10 @@ network) where the site's bus begins: on the machine that does not connect to an
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
+
+from msgspec import Struct
 
 from trigpoint.base.errors import InputError
 from trigpoint.base.words import nearest
@@ -26,8 +27,7 @@ class PartKind(StrEnum):
     BOARD = "board"
 
 
-@dataclass(frozen=True, slots=True)
-class Choice:
+class Choice(Struct, frozen=True):
     """What the command line says: cameras and robots by name, none for those that are here; kinds
     that are left out."""
 
@@ -51,8 +51,7 @@ class Choice:
         return cls(tuple(cameras), tuple(robots), frozenset(map(PartKind, without)))
 
 
-@dataclass(frozen=True, slots=True)
-class Selection:
+class Selection(Struct, frozen=True):
     """The parts of this machine; `left_out`: what is not here and why, in words."""
 
     cameras: tuple[str, ...]

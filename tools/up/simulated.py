@@ -6,8 +6,9 @@ with it; the real cameras of this machine run beside them.
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
+
+from msgspec import Struct
 
 from trigpoint.base.clock import to_ns
 from trigpoint.base.errors import InputError, writing
@@ -27,8 +28,7 @@ _CHECKPOINT = Path("network/checkpoint.bin")
 """Fusion's: of a world that has ended it would go on with a map that is no more."""
 
 
-@dataclass(frozen=True, slots=True)
-class Simulated:
+class Simulated(Struct, frozen=True):
     """What was written, and the robot's name and process. It drives for `seconds`, then stands."""
 
     site: Path

@@ -7,10 +7,10 @@ import socket
 import stat
 import time
 from collections.abc import Collection, Iterable
-from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import SplitResult, urlsplit
 
+from msgspec import Struct
 from starlette.requests import Request
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 
@@ -36,8 +36,7 @@ HEADERS = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Access:
+class Access(Struct, frozen=True):
     """Checked. `token`: "" where there is no login; `certificate`, `key`: PEM files of TLS."""
 
     host: str = LOOPBACK

@@ -1,8 +1,9 @@
 """The estimator over a session from Python."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
+
+from msgspec import Struct
 
 from trigpoint.fusion.estimators.residuals import CameraResiduals
 from trigpoint.fusion.estimators.results import Results
@@ -12,8 +13,7 @@ from .networks import Network, PathLike, Trajectory, network_of
 from .sessions import Session
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Calibration:
+class Calibration(Struct, frozen=True, eq=False):
     """What a session says.
 
     `residuals`: of each camera's corners, predicted minus seen, pixels; empty where the estimator

@@ -6,13 +6,13 @@ covariance's order is x, y, z and rotation about the map's x, y, z.
 
 import os
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
 from functools import partial
 from itertools import combinations
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.base.errors import InputError
 from trigpoint.base.words import nearest
@@ -25,8 +25,7 @@ from trigpoint.tools.networks.truth import NetworkError, TruthFile, load_truth, 
 PathLike = str | os.PathLike[str]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Trajectory:
+class Trajectory(Struct, frozen=True, eq=False):
     """Where a robot's base was: `stamps_ns` (n,) int64, Unix time; `pose`: n poses, of the base in
     the map, or in the robot's odometry frame where a session's odometry was asked for."""
 
@@ -37,8 +36,7 @@ class Trajectory:
         return len(self.stamps_ns)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Alternative:
+class Alternative(Struct, frozen=True, eq=False):
     """A place that the data leave open for an undetermined camera: map_from_camera, its covariance
     (6, 6), and its share of the posterior, 0 to 1."""
 
@@ -47,8 +45,7 @@ class Alternative:
     probability: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class EarlierPose:
+class EarlierPose(Struct, frozen=True, eq=False):
     """Where a camera was until it was moved at `until_ns`: map_from_camera, covariance (6, 6)."""
 
     until_ns: int
@@ -56,8 +53,7 @@ class EarlierPose:
     covariance: Array
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Camera:
+class Camera(Struct, frozen=True, eq=False):
     """One camera of a network.
 
     `pose`: map_from_camera (z ahead, x right, y down in the picture), `covariance` (6, 6): None
@@ -95,8 +91,7 @@ class Camera:
         return _root_of_trace(self.covariance, slice(3, 6))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Robot:
+class Robot(Struct, frozen=True, eq=False):
     """One robot of a network: true motion = scale × reported motion; `map_from_odom`: the last one,
     None where the robot could not be tied to the map; `base_from_faces`: face id -> where the
     target's face is on the robot."""
@@ -108,8 +103,7 @@ class Robot:
     base_from_faces: dict[int, Pose]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Network:
+class Network(Struct, frozen=True, eq=False):
     """What a calibration ends in. `cameras`, `robots`: by name, in the site file's order;
     `chi2_per_dof`: 1 on average where the noise is as stated, None where the estimator has none."""
 

@@ -3,10 +3,10 @@
 import logging
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.contract.messages import Sightings
 from trigpoint.edge.detector import TargetDetector, detector_for
@@ -29,8 +29,7 @@ a folder of them, a video or a bag; or several of all these."""
 _LOG = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Lens:
+class Lens(Struct, frozen=True, eq=False):
     """A camera's intrinsics as pictures say they are.
 
     `sigma`: of `camera.parameters` (fx, fy, cx, cy, distortion), same order, pixels where those

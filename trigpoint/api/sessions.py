@@ -3,11 +3,12 @@
 import logging
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from trigpoint.api import load
 from trigpoint.base.errors import InputError, MessageError
@@ -36,8 +37,7 @@ _LOG = logging.getLogger(__name__)
 _Kind = TypeVar("_Kind")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Session:
+class Session(Struct, frozen=True, eq=False):
     """A recorded session, or anybody's bag (MCAP, rosbag2, ROS 1); messages are read when they are
     asked for.
 

@@ -1,13 +1,13 @@
 """The result of one of `doctor`'s checks of this machine."""
 
-from dataclasses import dataclass
 from typing import Literal
+
+from msgspec import Struct
 
 Level = Literal["ok", "warning", "error"]
 
 
-@dataclass(frozen=True, slots=True)
-class Check:
+class Check(Struct, frozen=True):
     """One finding. `message`: what was found; `remedy`: what to do, "" if nothing."""
 
     name: str

@@ -7,17 +7,17 @@ own threads. Closing the bus closes everything declared on it.
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
 from types import TracebackType
 from typing import Protocol, Self
+
+from msgspec import Struct
 
 from trigpoint.contract.topics import Topic
 
 COMMAND_TIMEOUT_S = 5.0
 
 
-@dataclass(frozen=True, slots=True)
-class Sample:
+class Sample(Struct, frozen=True):
     """One received payload.
 
     `published_ns`: the sender's Zenoh timestamp as Unix time; `received_ns`: when it arrived here;
@@ -33,8 +33,7 @@ class Sample:
     sender: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Reply:
+class Reply(Struct, frozen=True):
     """An answer to a query; `error` is one line if the other side refused, else ""."""
 
     key: str

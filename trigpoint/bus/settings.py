@@ -16,8 +16,9 @@ Peers relay nothing between peers, only for clients (measured, 1.10); hence the 
 import base64
 import socket
 import zlib
-from dataclasses import dataclass
 from typing import Literal
+
+from msgspec import Struct
 
 from trigpoint.base.errors import BusError, ConfigError
 from trigpoint.contract import topics
@@ -38,16 +39,14 @@ batches, a slow link (5 % loss, 100 ms) held that up so long that it was cut off
 asked again, and never recovered."""
 
 
-@dataclass(frozen=True, slots=True)
-class Multicast:
+class Multicast(Struct, frozen=True):
     """Where to look for peers: a network interface (or its address) and a group."""
 
     interface: str
     group: str
 
 
-@dataclass(frozen=True, slots=True)
-class TlsFiles:
+class TlsFiles(Struct, frozen=True):
     """What a secured site's session shows, and whom it trusts: paths of PEM files.
 
     `anchors`: PEM text of all trusted anchors, if there are more than `trust` holds.
@@ -74,16 +73,14 @@ class TlsFiles:
         }
 
 
-@dataclass(frozen=True, slots=True)
-class Door:
+class Door(Struct, frozen=True):
     """How a session admits others: its certificate, and Zenoh's `access_control`."""
 
     files: TlsFiles
     access: dict[str, object]
 
 
-@dataclass(frozen=True, slots=True)
-class Settings:
+class Settings(Struct, frozen=True):
     """One session.
 
     `gate`: the endpoint on which another session listens for the whole machine; `files`: what it

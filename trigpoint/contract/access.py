@@ -6,8 +6,9 @@ and are not checked. Pure: knows no Zenoh and no files.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from enum import StrEnum
+
+from msgspec import Struct
 
 from trigpoint.base.errors import InputError
 from trigpoint.contract import topics
@@ -30,8 +31,7 @@ class Kind(StrEnum):
     ROUTER = "router"
 
 
-@dataclass(frozen=True, slots=True)
-class Identity:
+class Identity(Struct, frozen=True):
     """The holder of a certificate, by the name in it: «lab/camera/c1»."""
 
     site: str
@@ -73,8 +73,7 @@ def identity_in(site: Site, kind: Kind, name: str, *, is_known: bool = False) ->
     return Identity(site.name, kind, name)
 
 
-@dataclass(frozen=True, slots=True)
-class Grants:
+class Grants(Struct, frozen=True):
     """What one kind of node may do. Paths are below the site; `{id}` is the node's own name.
 
     `token`: the liveliness token that it may declare; everyone may see who is alive.
@@ -159,8 +158,7 @@ _EVERYTHING = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class _Rule:
+class _Rule(Struct, frozen=True):
     """Messages allowed from (`ingress`) or to (`egress`) the node, on these keys."""
 
     flow: str

@@ -1,11 +1,11 @@
 """A pair of functions per message type: our message to rosbags' object and back, checked."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.base.errors import MessageError
 from trigpoint.geometry import CameraModel, Pose
@@ -52,8 +52,7 @@ from .messages import (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Codec:
+class Codec(Struct, frozen=True):
     """Converts one of our message types to rosbags' objects of a ROS type and back; `from_ros`
     raises MessageError if an object is not valid."""
 

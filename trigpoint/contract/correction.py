@@ -2,8 +2,9 @@
 authenticator follows (`authenticator`)."""
 
 import struct
-from dataclasses import dataclass
 from uuid import UUID
+
+from msgspec import Struct
 
 from trigpoint.base.errors import MessageError
 
@@ -14,8 +15,7 @@ the square of much less is exactly zero in single precision."""
 MARK_LENGTH = 16 + _SEQUENCE.size
 
 
-@dataclass(frozen=True, slots=True)
-class CorrectionMark:
+class CorrectionMark(Struct, frozen=True):
     """`map_id`: the map's UUID; `sequence`: counts one robot's corrections, 0 … 2⁶⁴ - 1."""
 
     map_id: UUID

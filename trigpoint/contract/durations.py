@@ -2,8 +2,9 @@
 
 from bisect import bisect_left
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from typing import Self
+
+from msgspec import Struct, field
 
 BOUNDS_S = (
     *(0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5),
@@ -16,8 +17,7 @@ def _zeros() -> list[int]:
     return [0] * (len(BOUNDS_S) + 1)
 
 
-@dataclass(slots=True)
-class Durations:
+class Durations(Struct):
     """How many took how long. `counts`: one for each of BOUNDS_S and one beyond, not cumulative."""
 
     sum_s: float = 0.0

@@ -1,13 +1,14 @@
-"""The messages of the bus as frozen dataclasses; `cdr` turns them into bytes and back.
+"""The messages of the bus as frozen structs; `cdr` turns them into bytes and back.
 
 Stamps are integer nanoseconds of Unix time, on the sender's clock.
 """
 
-from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import TypeVar
 
 import numpy as np
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
@@ -26,8 +27,7 @@ OCCUPANCY_GRID = "nav_msgs/msg/OccupancyGrid"
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 
 
-@dataclass(frozen=True, slots=True)
-class FaceSighting:
+class FaceSighting(Struct, frozen=True):
     """One face found in one picture.
 
     `corners`: (n,) uint16 ids; `pixels`: (n, 2) float32, raw picture coordinates; `sigma`: standard
@@ -51,8 +51,7 @@ class Mended(StrEnum):
     NO_TWIST = "with a twist that is not finite, which nothing needs"
 
 
-@dataclass(frozen=True, slots=True)
-class Sightings:
+class Sightings(Struct, frozen=True):
     """All faces found in one picture; stamp: middle of exposure; `frame_id`: <camera>/optical.
     `mended`: what it lacked as it was read."""
 
@@ -64,8 +63,7 @@ class Sightings:
     mended: tuple[Mended, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class Odometry:
+class Odometry(Struct, frozen=True):
     """Pose of `child_frame_id` (<robot>/base) in `frame_id` (<robot>/odom), and the twist.
     `mended`: what it lacked as it was read."""
 
@@ -88,8 +86,7 @@ def stamped(message: _Stamped, recorded_ns: int) -> _Stamped:
     return replace(message, stamp_ns=recorded_ns, mended=(*message.mended, Mended.UNSTAMPED))
 
 
-@dataclass(frozen=True, slots=True)
-class PoseEstimate:
+class PoseEstimate(Struct, frozen=True):
     """A pose in `frame_id` with the contract's covariance, (6, 6)."""
 
     stamp_ns: int
@@ -98,8 +95,7 @@ class PoseEstimate:
     covariance: Array
 
 
-@dataclass(frozen=True, slots=True)
-class PoseStamped:
+class PoseStamped(Struct, frozen=True):
     """A pose in `frame_id`."""
 
     stamp_ns: int
@@ -107,8 +103,7 @@ class PoseStamped:
     pose: Pose
 
 
-@dataclass(frozen=True, slots=True)
-class PoseArray:
+class PoseArray(Struct, frozen=True):
     """Many poses in `frame_id`; `poses` has one leading dimension."""
 
     stamp_ns: int
@@ -116,8 +111,7 @@ class PoseArray:
     poses: Pose
 
 
-@dataclass(frozen=True, slots=True)
-class Picture:
+class Picture(Struct, frozen=True):
     """A compressed picture; `format` is "jpeg"."""
 
     stamp_ns: int
@@ -126,8 +120,7 @@ class Picture:
     data: bytes
 
 
-@dataclass(frozen=True, slots=True)
-class CameraInfo:
+class CameraInfo(Struct, frozen=True):
     """A camera's intrinsics."""
 
     stamp_ns: int
@@ -135,8 +128,7 @@ class CameraInfo:
     camera: CameraModel
 
 
-@dataclass(frozen=True, slots=True)
-class Transform:
+class Transform(Struct, frozen=True):
     """parent_from_child at a time."""
 
     stamp_ns: int
@@ -145,15 +137,13 @@ class Transform:
     pose: Pose
 
 
-@dataclass(frozen=True, slots=True)
-class Transforms:
+class Transforms(Struct, frozen=True):
     """The message on tf."""
 
     transforms: tuple[Transform, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class Polygon:
+class Polygon(Struct, frozen=True):
     """A polygon in `frame_id`; `points`: (n, 3), metres."""
 
     stamp_ns: int
@@ -161,8 +151,7 @@ class Polygon:
     points: Array
 
 
-@dataclass(frozen=True, slots=True)
-class OccupancyGrid:
+class OccupancyGrid(Struct, frozen=True):
     """A grid of cells in `frame_id`: `values` (rows, columns) int8, 0 to 100, -1 unknown, row by
     row from the corner at `origin`, which the rows run along x from; a cell's side `cell_m`."""
 
@@ -173,8 +162,7 @@ class OccupancyGrid:
     values: np.ndarray
 
 
-@dataclass(frozen=True, slots=True)
-class DiagnosticStatus:
+class DiagnosticStatus(Struct, frozen=True):
     """One component's state; `level` is 0 OK, 1 WARN, 2 ERROR, 3 STALE."""
 
     level: int
@@ -184,8 +172,7 @@ class DiagnosticStatus:
     values: dict[str, str]
 
 
-@dataclass(frozen=True, slots=True)
-class Diagnostics:
+class Diagnostics(Struct, frozen=True):
     """A node's state, sent once a second."""
 
     stamp_ns: int

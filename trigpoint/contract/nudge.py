@@ -5,7 +5,8 @@ runs.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from trigpoint.contract.messages import Diagnostics
 
@@ -16,8 +17,7 @@ NUDGES = "nudges"
 _EDGE = "edge/"
 
 
-@dataclass(frozen=True, slots=True)
-class Nudge:
+class Nudge(Struct, frozen=True):
     """A camera was moved after its picture of `until_ns`, and not after that of `since_ns`."""
 
     camera: str

@@ -1,16 +1,14 @@
 """The contract's noise of odometry, shared by robot, fusion and simulator."""
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 from numpy.typing import ArrayLike
 
 from trigpoint.geometry.rotation import Array
 from trigpoint.site.config import OdometryNoise
 
 
-@dataclass(frozen=True, slots=True)
-class StepVariances:
+class StepVariances(Struct, frozen=True):
     """Independent variances of steps (…): `translation` (…, 3), m², along, across and above the
     direction half-way through the step's turn; `rotation` (…, 3), rad², about the axes that the
     step starts from."""

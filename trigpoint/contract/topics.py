@@ -1,8 +1,9 @@
 """Every key of the contract: its expression, type, delivery, and whether it is recorded."""
 
-from dataclasses import dataclass
 from enum import Enum
 from functools import lru_cache
+
+from msgspec import Struct
 
 from trigpoint.contract import messages
 
@@ -26,8 +27,7 @@ class Delivery(Enum):
         return self not in (Delivery.NEWEST, Delivery.BEST_EFFORT)
 
 
-@dataclass(frozen=True, slots=True)
-class Topic:
+class Topic(Struct, frozen=True):
     """One row: `path` below the site with `{id}` for the camera or robot.
 
     `queue`: how many samples a subscriber holds; when full, the oldest is dropped and counted.

@@ -4,11 +4,12 @@ Pixels have (0, 0) at the centre of the top-left pixel. Formulae: OpenCV's docum
 `calib3d` and of `fisheye`.
 """
 
-from dataclasses import dataclass
 from enum import StrEnum
 from functools import cache
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import force_setattr
 from numpy.typing import ArrayLike
 
 from trigpoint.native.library import In, Kernel, Out
@@ -61,8 +62,7 @@ class LensModel(StrEnum):
         }[self.value]
 
 
-@dataclass(frozen=True, slots=True)
-class CameraModel:
+class CameraModel(Struct, frozen=True):
     """A camera's intrinsics: from a direction to a raw (distorted) pixel.
 
     `distortion` has as many numbers as the model; fewer are filled up with zeros.
@@ -86,7 +86,7 @@ class CameraModel:
         if missing < 0:
             raise ValueError(f"{self.model.value} has {len(self.model.coefficients)} coefficients")
         padded = (*(float(value) for value in self.distortion), *([0.0] * missing))
-        object.__setattr__(self, "distortion", padded)
+        force_setattr(self, "distortion", padded)
 
     @classmethod
     def from_field_of_view(cls, width: int, height: int, horizontal_rad: float) -> "CameraModel":

@@ -1,10 +1,10 @@
 """Rigid transforms, named `a_from_b`: they take coordinates in b to coordinates in a."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Self, overload
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import ArrayLike
 
 from trigpoint.geometry import rotation as so3
@@ -12,8 +12,7 @@ from trigpoint.geometry import rotation as so3
 from .rotation import Array
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Pose:
+class Pose(Struct, frozen=True, eq=False):
     """One rigid transform, or many: `rotation` (…, 3, 3), `translation` (…, 3), metres."""
 
     rotation: Array

@@ -4,7 +4,6 @@ The map itself stays as the contract has it; this says where it lies, and carrie
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
@@ -31,8 +30,7 @@ Trajectories = dict[str, tuple[np.ndarray, Pose]]
 """Robot -> (stamps_ns (n,), poses)."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Building:
+class Building(Struct, frozen=True, eq=False):
     """Where the map lies in the building's `frame`; `laying`: None where that is given by the site
     file and so taken as certain; `missing`: surveyed points that the map does not have."""
 

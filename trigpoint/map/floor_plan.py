@@ -6,11 +6,11 @@
 
 import io
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from msgspec import Struct
 from ruamel.yaml import YAML, YAMLError
 
 from trigpoint.base.errors import ConfigError, read_text
@@ -21,8 +21,7 @@ _MOST_PIXELS = 100e6
 """A hall of 300 m at 3 cm; larger plans take more memory than a viewer has."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FloorPlan:
+class FloorPlan(Struct, frozen=True, eq=False):
     """`pixels`: (rows, columns) uint8 grey, dark where something stands; `frame_from_plan`: the
     plan's own frame has its origin in the picture's lower left corner, x to the right, y up."""
 

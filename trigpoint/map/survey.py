@@ -9,9 +9,9 @@ outlier, and the largest set of points that agree decides which ones are.
 import itertools
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.base.errors import InputError
 from trigpoint.geometry import Pose
@@ -28,8 +28,7 @@ _ROUNDS = 20
 _ROUNDING = 1e-6
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SurveyedPoint:
+class SurveyedPoint(Struct, frozen=True, eq=False):
     """One point: in the map (3,), in the building's frame (2,) or (3,) where its height is known
     too, metres; `sigma_m`: of each of the latter's coordinates."""
 
@@ -39,8 +38,7 @@ class SurveyedPoint:
     sigma_m: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Residual:
+class Residual(Struct, frozen=True, eq=False):
     """What a point is off, surveyed minus map, (2,) or (3,) metres in the building's frame; χ²; the
     probability of as much by chance; whether it was left out as an outlier."""
 
@@ -55,8 +53,7 @@ class Residual:
         return float(np.linalg.norm(self.offset_m))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Laying:
+class Laying(Struct, frozen=True, eq=False):
     """`frame_from_map` with its `covariance` (6, 6) by the contract; each point's residual.
 
     `gains`: by point (6, 3), the transform's disturbance by an error of the point in the map;
@@ -74,8 +71,7 @@ class Laying:
         return [one.name for one in self.residuals if one.is_outlier]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Fit:
+class _Fit(Struct, frozen=True, eq=False):
     """The transform by some of the points; `gain` (6, 3n): its disturbance by each coordinate's
     error, surveyed minus map."""
 

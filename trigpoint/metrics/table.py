@@ -4,8 +4,9 @@ A metric is named once, here. What is in no row keeps its name as a label of `OT
 """
 
 import re
-from dataclasses import dataclass
 from functools import cache
+
+from msgspec import Struct
 
 from trigpoint.contract.topics import TOPICS
 
@@ -13,8 +14,7 @@ _SCALES = {"_days": 86400.0, "_ms": 1e-3, "_us": 1e-6, "_ppm": 1e-6}
 """Units in the names of values -> what makes Prometheus's unit of them."""
 
 
-@dataclass(frozen=True, slots=True)
-class Metric:
+class Metric(Struct, frozen=True):
     """One row. `value`: the value's name in the diagnostics, in which {label} stands for text that
     becomes a label, and {label:a|b} for one of these. With `text`, the value is no number but
     words, which become the label of that name, and the metric is 1."""

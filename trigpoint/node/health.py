@@ -3,8 +3,9 @@
 import threading
 from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from enum import IntEnum
+
+from msgspec import Struct
 
 from trigpoint.base.clock import Clock, SystemClock, to_ns, to_seconds
 from trigpoint.base.errors import MessageError
@@ -32,8 +33,7 @@ class Level(IntEnum):
     STALE = 3
 
 
-@dataclass(frozen=True, slots=True)
-class Report:
+class Report(Struct, frozen=True):
     """One reading of a node's health; `values` in the form of the diagnostics.
 
     Keys: `NAME.total` and `NAME.rate` (per second) of a counter, `NAME.lost` of lost data,

@@ -10,7 +10,6 @@ import os
 import stat
 from collections.abc import Iterable
 from contextlib import suppress
-from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -19,6 +18,8 @@ from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
+from msgspec import Struct
+from msgspec.structs import replace
 
 from trigpoint.base.errors import ConfigError
 from trigpoint.bus.settings import Door, TlsFiles
@@ -35,8 +36,7 @@ _PEOPLE = (Kind.OPERATOR, Kind.VIEWER)
 _ANCHOR = "anchor "
 
 
-@dataclass(frozen=True, slots=True)
-class Credentials:
+class Credentials(Struct, frozen=True):
     """A node's own files, checked."""
 
     identity: Identity

@@ -8,11 +8,11 @@ JSON), Kalibr's camchain, EuRoC's sensor.yaml, ORB-SLAM's and camodocal's settin
 import json
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
+from msgspec import Struct
 from ruamel.yaml import YAML, YAMLError
 
 from trigpoint.base.errors import InputError
@@ -39,8 +39,7 @@ _CONVERT = "write image_width, image_height, camera_matrix and distortion_coeffi
 _LATER = "; «trigpoint intrinsics» makes one from pictures"
 
 
-@dataclass(frozen=True, slots=True)
-class LensFile:
+class LensFile(Struct, frozen=True):
     """What a file says. `matrix`: (3, 3); `distortion`: in OpenCV's order of the model."""
 
     width: int

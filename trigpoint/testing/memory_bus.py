@@ -5,7 +5,8 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+
+from msgspec import Struct, field
 
 from trigpoint.base.clock import Clock, SystemClock
 from trigpoint.base.closing import Closing
@@ -78,8 +79,7 @@ class MemoryPublisher:
         return [queue for expression, queue in subscriptions if key_matches(expression, self.key)]
 
 
-@dataclass(slots=True)
-class _Request:
+class _Request(Struct):
     key: str
     payload: bytes
     answered: threading.Event = field(default_factory=threading.Event)

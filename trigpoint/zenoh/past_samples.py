@@ -12,9 +12,9 @@ import logging
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
 
 import zenoh
+from msgspec import Struct, field
 from zenoh import ConsolidationMode, QueryTarget, ReplyKeyExpr
 
 from .session import called_at_once
@@ -35,8 +35,7 @@ Sender = tuple[str, int]
 """The session's identifier, and the number of the publisher within it."""
 
 
-@dataclass(slots=True)
-class _Question:
+class _Question(Struct):
     """What of `key` is asked for: from number `begin` to the latest of the samples, by number, that
     wait in `held` meanwhile. `is_answered`: whether the answer came to its end; `brought`: how many
     samples were in it that had not come; `fruitless`: how many answers in a row brought none."""

@@ -3,8 +3,9 @@
 import logging
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import TypeVar
+
+from msgspec import Struct
 
 from trigpoint.base.errors import BusError
 from trigpoint.bus.bus import Bus
@@ -21,8 +22,7 @@ _SETTLE_LIMIT_S = 1.0
 Session = TypeVar("Session")
 
 
-@dataclass(frozen=True, slots=True)
-class Means:
+class Means(Struct, frozen=True):
     """What a process shows to others, and how it admits them.
 
     `door` and `rules` read the files each time, as they change while the process runs.

@@ -11,10 +11,11 @@ A new camera enters with its full cross covariance: its first sighting, solved f
 makes the camera's error a linear function of everything else's (Smith, Self and Cheeseman, 1990).
 """
 
-from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from trigpoint.base.clock import to_ns, to_seconds
 from trigpoint.fusion.model.dataset import DataSet
@@ -40,8 +41,7 @@ def extended_kalman_filter(data: DataSet) -> SequentialEstimator:
     return SequentialEstimator(data, KalmanFilterState.at_origin)
 
 
-@dataclass(frozen=True, slots=True)
-class KalmanFilterState(KalmanState):
+class KalmanFilterState(KalmanState, frozen=True):
     """See `FilterState`."""
 
     @classmethod
@@ -244,8 +244,7 @@ def _parts_of(sighting: ReadSighting) -> list[Part]:
     return [("last", robot), ("pose", camera), ("offset", camera)]
 
 
-@dataclass(frozen=True, slots=True)
-class _Update:
+class _Update(Struct, frozen=True):
     """What equations say of an error that was zero with a covariance P (m, m): residual (k,) +
     J (k, m) · error = noise of unit variance. `root`: L (k, k) of S = 1 + J P Jᵀ = L Lᵀ;
     `innovation`: (k,), whitened by it; `error`, `sigmas`: (m,) after the update (Kalman, 1960)."""

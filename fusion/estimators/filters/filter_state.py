@@ -1,9 +1,9 @@
 """The state of a recursive filter at a moment; immutable, so that going back costs nothing."""
 
-from dataclasses import dataclass
 from typing import Protocol, Self
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.base.clock import to_ns, to_seconds
 from trigpoint.fusion.estimators.interface import CameraEstimate
@@ -18,8 +18,7 @@ from trigpoint.geometry.rotation import Array
 _VELOCITY_WINDOW_NS = to_ns(0.02)
 
 
-@dataclass(frozen=True, slots=True)
-class ReadSighting:
+class ReadSighting(Struct, frozen=True):
     """An observation prepared for a filter: read, its outlier corners marked, and the approximate
     pose of the robot by it, `map_from_base`.
 
@@ -33,8 +32,7 @@ class ReadSighting:
     places_robot: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Innovation:
+class Innovation(Struct, frozen=True):
     """How far an observation was from its prediction.
 
     `chi2`, `freedom`: of the innovation, with its degrees of freedom; `total`, `total_freedom`:

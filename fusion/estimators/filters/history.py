@@ -1,9 +1,8 @@
 """The outcome of each sighting that a filter processed; from these, the robots' trajectories and
 the quality of the fit."""
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import Verdict
@@ -16,8 +15,7 @@ from .filter_state import FilterState, Innovation
 _IN_A_ROW = 4
 
 
-@dataclass(slots=True)
-class Step:
+class Step(Struct):
     """The outcome of one sighting. `before`: the filter state before it, None where that is too
     long ago; `map_from_base`: afterwards; `innovation`: None where it was set aside."""
 
@@ -74,8 +72,7 @@ def chi2_per_dof(steps: list[Step]) -> float | None:
     return sum(innovation.total for innovation in used) / freedom if freedom > 0 else None
 
 
-@dataclass(frozen=True, slots=True)
-class Contradiction:
+class Contradiction(Struct, frozen=True):
     """Consecutive sightings by one camera or of one robot, `what`, all of which contradict the
     filter state, which noise or a single wrong reading does not explain."""
 

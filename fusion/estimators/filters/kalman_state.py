@@ -1,9 +1,10 @@
 """The state of the extended Kalman filter: nominal values, and the error about them."""
 
-from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from trigpoint.fusion.estimators.interface import CameraEstimate
 from trigpoint.fusion.model.dataset import DataSet
@@ -19,8 +20,7 @@ Part = tuple[str, str]
 «last» of a robot (its free ones of 6) and its odometry's «scales» (2)."""
 
 
-@dataclass(frozen=True, slots=True)
-class KalmanState:
+class KalmanState(Struct, frozen=True):
     """Robots at their last nodes, cameras, and the error's covariance (n, n); immutable.
 
     The error of a pose is its left twist (`pose_errors`). `columns`: where each part is in

@@ -14,9 +14,9 @@ handful of them. Its likelihood is taken in shares that leave half of them effec
 low-variance resampling after each (`particle_resampling`, decision 0641).
 """
 
-from dataclasses import dataclass, replace
-
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.motion import odometry_step
@@ -43,8 +43,7 @@ def particle_filter(data: DataSet) -> SequentialEstimator:
     return SequentialEstimator(data, ParticleFilterState.at_origin)
 
 
-@dataclass(frozen=True, slots=True)
-class _Terms:
+class _Terms(Struct, frozen=True):
     """A sighting in each of n particles: residual (n, k) of unit noise; its derivative (n, k, m) by
     the robot, its companion if it has one, and the camera; and the inverse of its covariance
     (n, k, k)."""
@@ -61,8 +60,7 @@ class _Terms:
         return -0.5 * (np.sum(self.residual * solved, axis=1) - log_determinant)
 
 
-@dataclass(frozen=True, slots=True)
-class _Relative:
+class _Relative(Struct, frozen=True):
     """camera_from_base (n) in each particle; its derivative (n, 6, m) by the robot, its companion
     if it has one, and the camera; their covariance (n, m, m) together, and its own (n, 6, 6)."""
 
@@ -91,8 +89,7 @@ class _Relative:
         return float(residual @ np.linalg.solve(total, residual))
 
 
-@dataclass(frozen=True, slots=True)
-class ParticleFilterState(Particles):
+class ParticleFilterState(Particles, frozen=True):
     """See `FilterState`."""
 
     @classmethod

@@ -1,10 +1,11 @@
 """Particles: robots' poses, drawn, and the cameras' Gaussian estimates given those."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from trigpoint.fusion.estimators.interface import CameraEstimate
 from trigpoint.fusion.model.dataset import DataSet
@@ -24,8 +25,7 @@ _SHOWN = 500
 _NOTHING = 1e-12
 
 
-@dataclass(frozen=True, slots=True)
-class Particles:
+class Particles(Struct, frozen=True):
     """n particles, all equally likely; immutable.
 
     `poses`: robot -> map_from_base (n), with `spreads` (n, d, d) of what is not drawn yet;

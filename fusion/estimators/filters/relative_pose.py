@@ -6,9 +6,8 @@ Jacobian, |r + J d|² = |Qᵀr + R d|² + what no pose explains (Golub and Van L
 Computations», section 5.3). Both filters use this as their measurement.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.fusion.model.gates import WILD_CORNER_SIGMAS, WILD_SHARE
 from trigpoint.fusion.model.observations import Observation, base_from_faces, points_of
@@ -24,8 +23,7 @@ _LEAST_CORNERS = 4
 _DETERMINED = 1e-7
 
 
-@dataclass(frozen=True, slots=True)
-class RelativeView:
+class RelativeView(Struct, frozen=True):
     """A sighting linearised about `camera_from_base`.
 
     A disturbance d (6,) of that pose costs |residual + root d|², unit noise each; `root`: (6, 6),

@@ -9,9 +9,9 @@ import bisect
 from collections import defaultdict
 from collections.abc import Callable, Mapping
 from copy import copy
-from dataclasses import replace
 
 import numpy as np
+from msgspec.structs import replace
 
 from trigpoint.base.clock import to_ns
 from trigpoint.fusion.model.dataset import DataSet

@@ -5,7 +5,8 @@ immutable and share what a step does not change, so that going back costs nothin
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from trigpoint.fusion.estimators.interface import CameraEstimate
 from trigpoint.fusion.estimators.marginals import camera_estimates
@@ -24,8 +25,7 @@ EXCESS = 3.0
 _MOST_STEPS = 64
 
 
-@dataclass(frozen=True, slots=True)
-class _Step:
+class _Step(Struct, frozen=True):
     """A used entry, and the filter before it."""
 
     time_ns: int

@@ -12,10 +12,10 @@ likelihood are taken in place of the stated ones where those are rejected at one
 (variance components: Searle, Casella and McCulloch, «Variance Components», 1992).
 """
 
-from dataclasses import dataclass, replace
-
 import msgspec
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from trigpoint.base.clock import to_ns
 from trigpoint.fusion.model.assembly import Assembled
@@ -45,8 +45,7 @@ _PARTS = ("distance", "lateral", "heading_drive", "heading_turn")
 _DETERMINED = 1e-6
 
 
-@dataclass(frozen=True, slots=True)
-class _Seen:
+class _Seen(Struct, frozen=True):
     """Where one camera alone puts the robot: moments (n,), map_from_base (n), covariances
     (n, d, d) of the free disturbances."""
 
@@ -55,8 +54,7 @@ class _Seen:
     covariance: Array
 
 
-@dataclass(frozen=True, slots=True)
-class Windows:
+class Windows(Struct, frozen=True):
     """Differences (n, d) between pictures and odometry, their covariance (n, d, d) by the pictures,
     and that by each part of the noise with a sigma of 1, (6, n, d, d)."""
 

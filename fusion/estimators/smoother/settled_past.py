@@ -7,9 +7,10 @@ the map. What is not decided by then has to be seen again.
 
 from collections import defaultdict
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from trigpoint.base.clock import NANOSECONDS
 from trigpoint.fusion.estimators.crept import crept
@@ -31,8 +32,7 @@ _AWAY_NS = 10 * NANOSECONDS
 _PATH_STEP_NS = NANOSECONDS // 10
 
 
-@dataclass(frozen=True, slots=True)
-class Limits:
+class Limits(Struct, frozen=True):
     """How much is kept at least, of which twice as much may come before the rest is summarised,
     and three times as much while something is open: sightings, times that a robot came before a
     camera (on whose number the time of a solution depends most), and messages of odometry. `paths`:

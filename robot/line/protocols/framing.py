@@ -7,7 +7,8 @@ reflected.
 
 import binascii
 import struct
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from trigpoint.robot.line.protocol import Damaged, DamageKind
 
@@ -22,8 +23,7 @@ MAXIMUM_PAYLOAD = MAXIMUM_FRAME - _HEADER.size - _CRC.size
 _MAXIMUM_ENCODED = MAXIMUM_FRAME + 1
 
 
-@dataclass(frozen=True, slots=True)
-class Frame:
+class Frame(Struct, frozen=True):
     """One frame; `sequence`: 0 … 65535, counts the sender's frames, then starts again."""
 
     kind: int

@@ -7,11 +7,11 @@ what comes: lengths, finite numbers, unit quaternions; it raises MessageError.
 import math
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass
 from enum import IntEnum
 from uuid import UUID
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.base.errors import MessageError
 from trigpoint.geometry import Pose
@@ -49,8 +49,7 @@ class Result(IntEnum):
     BUSY = 4
 
 
-@dataclass(frozen=True, slots=True)
-class Hello:
+class Hello(Struct, frozen=True):
     """Who speaks. Its layout is the same in every version, so that a wrong one can be named."""
 
     version: int
@@ -59,8 +58,7 @@ class Hello:
     program: str
 
 
-@dataclass(frozen=True, slots=True)
-class OdometryFrame:
+class OdometryFrame(Struct, frozen=True):
     """One odometry reading; `odom_from_base`, twist in the base frame."""
 
     boot: int
@@ -70,8 +68,7 @@ class OdometryFrame:
     angular: Array
 
 
-@dataclass(frozen=True, slots=True)
-class TicksFrame:
+class TicksFrame(Struct, frozen=True):
     """One reading of a differential drive's two wheel counters, in place of OdometryFrame."""
 
     boot: int
@@ -81,15 +78,13 @@ class TicksFrame:
     geometry: WheelGeometry
 
 
-@dataclass(frozen=True, slots=True)
-class Ping:
+class Ping(Struct, frozen=True):
     """The bridge asks for the firmware's time."""
 
     number: int
 
 
-@dataclass(frozen=True, slots=True)
-class Pong:
+class Pong(Struct, frozen=True):
     """The firmware's clock when the ping's last byte came and when this frame was handed out."""
 
     number: int
@@ -98,8 +93,7 @@ class Pong:
     sent_ns: int
 
 
-@dataclass(frozen=True, slots=True)
-class CorrectionFrame:
+class CorrectionFrame(Struct, frozen=True):
     """`map_from_base` at `stamp_ns` of the firmware's clock; `covariance`: (3, 3) over x, y,
     heading."""
 
@@ -112,8 +106,7 @@ class CorrectionFrame:
     covariance: Array
 
 
-@dataclass(frozen=True, slots=True)
-class Acknowledge:
+class Acknowledge(Struct, frozen=True):
     """The answer to a correction; `result` may be a number that `Result` does not know yet."""
 
     number: int
@@ -121,8 +114,7 @@ class Acknowledge:
     text: str
 
 
-@dataclass(frozen=True, slots=True)
-class Heartbeat:
+class Heartbeat(Struct, frozen=True):
     """Sent once a second both ways; counters since the sender's start, modulo 2³²."""
 
     uptime_ns: int

@@ -6,11 +6,12 @@ fall on odometry messages and between them.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import msgspec
 import numpy as np
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from trigpoint.base.clock import to_ns
 from trigpoint.contract import cdr
@@ -75,8 +76,7 @@ def standing() -> Way:
     return turning(rate=0.0)
 
 
-@dataclass(frozen=True, slots=True)
-class CameraPlan:
+class CameraPlan(Struct, frozen=True):
     """A camera as it truly is; `told`: the lens that fusion is told, None: the true one."""
 
     map_from_camera: Pose
@@ -86,8 +86,7 @@ class CameraPlan:
     more: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class RobotPlan:
+class RobotPlan(Struct, frozen=True):
     """A robot: `way`: odom_from_base as it is reported, by seconds (n,); `scales`: true errors."""
 
     way: Way
@@ -98,8 +97,7 @@ class RobotPlan:
     map_from_odom: Pose = field(default_factory=Pose.identity)
 
 
-@dataclass(frozen=True, slots=True)
-class Plan:
+class Plan(Struct, frozen=True):
     """A whole drive. `sigma`: of a corner's coordinate as it is drawn; `stated`: as it is said."""
 
     cameras: dict[str, CameraPlan]
@@ -112,8 +110,7 @@ class Plan:
     more: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Session:
+class Session(Struct, frozen=True):
     """What came in, in order of the stamps, and the truth: map_from_base every STEP_S."""
 
     plan: Plan

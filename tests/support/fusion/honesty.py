@@ -2,8 +2,8 @@
 
 import json
 import math
-from dataclasses import replace
 
+from msgspec.structs import replace
 from scipy.special import chdtri
 from support.fusion.drives import Session
 

@@ -1,16 +1,15 @@
 """A visit linearised with numpy, part by part; the core is held to it."""
 
-from dataclasses import dataclass, replace
-
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from trigpoint.fusion.model.assembly import Assembled
 from trigpoint.fusion.model.prediction import base_jacobian, batch_jacobian, odometry_terms
 from trigpoint.geometry.rotation import Array
 
 
-@dataclass(frozen=True, slots=True)
-class SlowLinear:
+class SlowLinear(Struct, frozen=True):
     """`linear.Linear` as far as the core makes it; columns of `by_others` as the problem has
     them, of the dense part."""
 

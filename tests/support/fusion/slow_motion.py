@@ -1,8 +1,7 @@
 """Motion between moments of a robot's odometry, written out with numpy; the core is held to it."""
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.contract.odometry_noise import step_variances
 from trigpoint.fusion.model.motion import FLOOR_VARIANCE, STILL, Motion, both, composed, moved
@@ -15,8 +14,7 @@ UNKNOWN_VARIANCE = 100.0**2
 _GAP_RADIUS_M = 0.5
 
 
-@dataclass(frozen=True, slots=True)
-class StepNoise:
+class StepNoise(Struct, frozen=True):
     """Variances of steps (n): `along` (n, 3) of the translation in the axes half-way through the
     step, `slip` (n,) in addition along x and y, `tilt` and `heading` (n,); where `is_unknown` (n,),
     all of them are `UNKNOWN_VARIANCE` instead."""

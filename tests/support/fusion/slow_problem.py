@@ -1,9 +1,9 @@
 """The least-squares problem written out in numpy: every residual in one column, every unknown in
 one row, nothing eliminated. The core is held to it."""
 
-from dataclasses import dataclass, replace
-
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from trigpoint.fusion.model.motion import Motion
@@ -19,8 +19,7 @@ from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
 
 
-@dataclass(slots=True)
-class Slow:
+class Slow(Struct):
     """Half the Hessian (u, u) and the gradient (u,) of the cost: each chain's inner nodes, then the
     dense part."""
 

@@ -15,10 +15,11 @@ whatever company.
 """
 
 import math
-from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 from support.oracle.solver import Solution, Structure, gaps_of
 from support.oracle.verdict import Explanation, Scored, Verdict, apart, verdict_of
 from support.oracle.views import Label, Look, Priors, Reading, corners_of, readings_of, residuals
@@ -40,8 +41,7 @@ _TRUST = 0.5
 _PARALLEL = 1e-12  # the sine of an angle about no axis of its own
 
 
-@dataclass(frozen=True, slots=True)
-class _Longer:
+class _Longer(Struct, frozen=True):
     """An explanation of one picture more, and what it costs at least, or exactly."""
 
     node: Explanation

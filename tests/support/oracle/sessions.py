@@ -1,11 +1,12 @@
 """Drawn sessions so small that every explanation of them can be enumerated: one or two cameras, one
 robot, one picture a stop, to about four views of two faces."""
 
-from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from hypothesis import strategies as st
+from msgspec import Struct, field
+from msgspec.structs import replace
 from support.oracle.posterior import Oracle
 from support.oracle.views import Look, Priors
 
@@ -30,8 +31,7 @@ from trigpoint.site.config import Site, parse_site
 from trigpoint.site.target import Target
 
 
-@dataclass(frozen=True, slots=True)
-class Shape:
+class Shape(Struct, frozen=True):
     """What a small session looks like. `stops`: the number (0 or 1) of the camera before which the
     robot stands at each of its views; `is_alike`: equal checkerboards or known faces; `displaced`:
     the views whose first sighting lies 15 px off; `lift`: the view before which the robot is put
@@ -48,8 +48,7 @@ class Shape:
     sigma_px: float = 0.25
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SmallSession:
+class SmallSession(Struct, frozen=True, eq=False):
     """`messages`: (camera or robot, message) in the order of their stamps."""
 
     shape: Shape

@@ -5,10 +5,10 @@ Part of the oracle (`oracle`): dense Levenberg-Marquardt with derivatives by dif
 
 import itertools
 import math
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from msgspec import Struct
 from support.oracle.views import Priors, Reading
 
 from trigpoint.contract.messages import Odometry
@@ -32,8 +32,7 @@ class _Events(Protocol):
     def moves(self) -> frozenset[int]: ...
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Gap:
+class Gap(Struct, frozen=True, eq=False):
     """Motion (3,) x, y, heading in the earlier pose's frame, its covariance, and a matrix that
     makes an error of it white."""
 
@@ -218,8 +217,7 @@ def _places(
 # -- the minimum ----------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Solution:
+class Solution(Struct, frozen=True, eq=False):
     """Of each of n explanations: `costs` (n,), robot poses `x` (n, views, 3), cameras' places
     (n, places), and the covariance (n, size, size) of all unknowns."""
 

@@ -3,9 +3,9 @@
 Part of the oracle (`oracle`).
 """
 
-from dataclasses import dataclass, replace
-
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 from support.oracle.views import Label
 
 from trigpoint.geometry import Pose
@@ -17,8 +17,7 @@ EVIDENCE = 1e-5
 _SAME_CHI2, _SAME_SIGMAS, _SAME_M = 50.0, 8.0, 0.1
 
 
-@dataclass(frozen=True, slots=True)
-class Explanation:
+class Explanation(Struct, frozen=True):
     """What may have happened. `readings`: an index for each picture; `lifts`: pictures before which
     the robot was lifted; `moves`: pictures before which their camera was moved."""
 
@@ -27,8 +26,7 @@ class Explanation:
     moves: frozenset[int] = frozenset()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Scored:
+class Scored(Struct, frozen=True, eq=False):
     """`places`: map_from_camera and its covariance at the end, by camera; a camera is missing where
     all sightings of its last place are wrong, or a lift cuts it off the map (`cut_off`)."""
 
@@ -39,8 +37,7 @@ class Scored:
     cut_off: frozenset[str] = frozenset()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Place:
+class Place(Struct, frozen=True, eq=False):
     """Where a camera may be, with the mass of all explanations that put it there."""
 
     map_from_camera: Pose
@@ -48,8 +45,7 @@ class Place:
     mass: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Verdict:
+class Verdict(Struct, frozen=True, eq=False):
     """What the posterior says of a camera's last place, best first. `by_wrong`, `by_lift`: the mass
     of explanations by which the data do not place it: all its sightings there are wrong; the robot
     was lifted and no other picture ties it to the map."""

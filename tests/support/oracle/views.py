@@ -5,10 +5,10 @@ Part of the oracle (`oracle`), and like it written without fusion: plain, dense,
 
 import itertools
 import math
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.contract.messages import FaceSighting
 from trigpoint.geometry import CameraModel, Pose
@@ -25,8 +25,7 @@ _SAME_POSE = 1.0  # two minima are one within so much of χ² between them
 _APART = 400.0
 
 
-@dataclass(frozen=True, slots=True)
-class Priors:
+class Priors(Struct, frozen=True):
     """Prior probabilities: of a wrong sighting, each; that anybody meddled in the session, and in
     one that was meddled in of an event, each: a lift between two views, a camera moved between two
     of its views. `room`: m, of the box in which cameras hang and robots drive. `is_above_floor`: no
@@ -54,8 +53,7 @@ class Priors:
         return self.room[0] * self.room[1] * 2 * math.pi
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Look:
+class Look(Struct, frozen=True, eq=False):
     """One picture: the camera's name, its lens, the stamp, the sightings."""
 
     camera: str
@@ -64,8 +62,7 @@ class Look:
     sightings: tuple[FaceSighting, ...]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Reading:
+class Reading(Struct, frozen=True, eq=False):
     """One way to read a picture. `camera_from_base`, `chi2` at its minimum, `covariance` (6, 6) of
     the contract's disturbance; None where every sighting is wrong. `cost`: -2 ln of the priors and
     of what the wrong sightings' own boards explain."""
@@ -138,8 +135,7 @@ def residuals(
     return error, (jacobian / scale[..., None]).reshape(-1, 6)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Fit:
+class _Fit(Struct, frozen=True, eq=False):
     pose: Pose
     chi2: float
     covariance: Array

@@ -4,7 +4,6 @@ import ssl
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 
 import pytest
 from support.builders import eventually
@@ -17,12 +16,11 @@ from trigpoint.tools.board.command import BoardService
 from trigpoint.tools.web.access import Access
 
 
-@dataclass(frozen=True, slots=True)
-class Desk(Visitor):
+class Desk(Visitor, frozen=True, kw_only=True):
     """A served board; `broker`: its bus."""
 
-    broker: MemoryBroker = field(kw_only=True)
-    service: BoardService = field(kw_only=True)
+    broker: MemoryBroker
+    service: BoardService
 
 
 @contextmanager

@@ -2,9 +2,9 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.bus.bus import Bus, Publisher
 from trigpoint.contract import topics
@@ -28,8 +28,7 @@ _SPACING_M = 4.0
 _ROUND_S = 40.0
 
 
-@dataclass(frozen=True, slots=True)
-class Truth:
+class Truth(Struct, frozen=True):
     """Where everything is: cameras on a grid 3 m high, looking down towards the middle; robots on
     circles around it, or still where `is_still`."""
 

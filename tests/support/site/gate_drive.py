@@ -1,10 +1,10 @@
 """A robot that drives, a fusion that knows where it is, and the gate between them."""
 
 from collections.abc import Callable
-from dataclasses import replace
 from uuid import UUID
 
 import numpy as np
+from msgspec.structs import replace
 
 from trigpoint.base.clock import to_ns
 from trigpoint.contract.correction import CorrectionMark

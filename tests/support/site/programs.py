@@ -9,10 +9,11 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
 from pathlib import Path
 from signal import SIGKILL, SIGTERM, Signals
 
+from msgspec import Struct
+from msgspec.structs import replace
 from support.builders import eventually
 from support.fusion.drives import EPOCH_NS, Sent, Session, offline
 
@@ -34,8 +35,7 @@ STOP_LIMIT_S = 3 * LONGEST_END_S
 """Who does not end in order says so by its status; this is for a machine that does much else."""
 
 
-@dataclass(frozen=True, slots=True)
-class Field:
+class Field(Struct, frozen=True):
     """A site's folder, its meeting point, and the drive that happens there."""
 
     folder: Path

@@ -1,12 +1,13 @@
 """Bags with pictures in which a message, the file or its parts are not as they should be."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from mcap.writer import IndexType, Writer
+from msgspec import Struct
+from msgspec.structs import replace
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as BagWriter
 from rosbags.typesys import Stores, get_typestore
@@ -24,8 +25,7 @@ BEGIN_NS, PERIOD_NS = 1_700_000_000_000_000_000, 200_000_000
 _OWN = "trigpoint_msgs/"
 
 
-@dataclass(frozen=True, slots=True)
-class Message:
+class Message(Struct, frozen=True):
     """One message of a bag, as bytes."""
 
     topic: str

@@ -4,17 +4,16 @@ import json
 import re
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from msgspec import Struct, field
 
 LEFT_OUT = r"left out|(could|can)(not| not) be (read|used|decoded)|passed over|skipped"
 LOCATED = r"c1\s+located"
 
 
-@dataclass(frozen=True, slots=True)
-class Case:
+class Case(Struct, frozen=True):
     """`words`: of the command line; `statuses`: those that it may end with; `says` and `never`:
     patterns that its output has and has not; `seen`: in how many pictures it finds faces, of which
     `--json` tells; `beside`: what is there as long as it runs."""

@@ -1,6 +1,6 @@
 """What a lift leaves open, by who knows when it was."""
 
-from dataclasses import replace
+from msgspec.structs import replace
 
 from benchmarks.study.decidable_lifts import left_open
 from benchmarks.study.oracle import known_to_oracle

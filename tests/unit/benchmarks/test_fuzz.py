@@ -1,10 +1,10 @@
 """The core's fuzzer: no kernel falls, and one that does is written down to be made again."""
 
 import pickle
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from msgspec.structs import replace
 
 from benchmarks.fuzz.child import Work
 from benchmarks.fuzz.inputs import VARIANTS

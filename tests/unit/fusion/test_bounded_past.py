@@ -2,11 +2,11 @@
 files."""
 
 import logging
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from support.builders import make_site
 from support.fusion.drives import (
     EPOCH_NS,

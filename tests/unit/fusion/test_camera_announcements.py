@@ -1,8 +1,7 @@
 """What is said of many cameras: all of them, but never much at once."""
 
-from dataclasses import replace
-
 import numpy as np
+from msgspec.structs import replace
 
 from trigpoint.base.clock import to_ns
 from trigpoint.contract import topics

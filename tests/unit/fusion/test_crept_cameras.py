@@ -1,11 +1,11 @@
 """`calibrate --network` with an old network, whose cameras crept since."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from msgspec import structs
+from msgspec.structs import replace
 from scipy.special import chdtri
 from support.fusion.drives import CameraPlan, Plan, Session, lab_plan, make_session, offline
 

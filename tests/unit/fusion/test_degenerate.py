@@ -1,10 +1,9 @@
 """Sessions that tell too little: what is not known is said in words, and no pose is made up."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from msgspec import structs
+from msgspec.structs import replace
 from support.fusion.drives import (
     EPOCH_NS,
     CameraPlan,

@@ -1,11 +1,10 @@
 """What the site lets be estimated beside the cameras' poses: offsets, scales, lenses, faces, and a
 target that moves in space."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from msgspec import structs
+from msgspec.structs import replace
 from support.fusion.drives import (
     Plan,
     RobotPlan,

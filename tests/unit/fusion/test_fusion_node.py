@@ -5,11 +5,11 @@ import re
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec import Struct
 from support.builders import eventually, largest_file
 from support.fusion.drives import EPOCH_NS, Session
 from support.fusion.networks import assert_same_place
@@ -44,8 +44,7 @@ from trigpoint.node.node import Node
 from trigpoint.testing.memory_bus import MemoryBroker, MemoryBus
 
 
-@dataclass(slots=True)
-class Running:
+class Running(Struct):
     """A fusion node on a bus of its own, and another session beside it. The clock stands where the
     sessions begin, so that nothing is late."""
 

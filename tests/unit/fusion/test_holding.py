@@ -3,11 +3,11 @@
 import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
-from msgspec import structs
+from msgspec import Struct, structs
+from msgspec.structs import replace
 from support.builders import eventually
 from support.fusion.drives import EPOCH_NS, Session
 from support.fusion.fixed_maps import fixed_network
@@ -32,8 +32,7 @@ from trigpoint.node.node import Node
 from trigpoint.testing.memory_bus import MemoryBroker, MemoryBus
 
 
-@dataclass(slots=True)
-class Solvers:
+class Solvers(Struct):
     """Makes solvers, and counts them."""
 
     made: int = 0
@@ -43,8 +42,7 @@ class Solvers:
         return SlowSolver(inputs)
 
 
-@dataclass(slots=True)
-class Running:
+class Running(Struct):
     """A fusion node, and another session beside it."""
 
     bus: MemoryBus

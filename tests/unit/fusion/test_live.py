@@ -1,10 +1,9 @@
 """What the pipeline says while the robot drives: in order of arrival, with what networks do."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from msgspec import structs
+from msgspec.structs import replace
 from support.fusion.drives import EPOCH_NS, Session, live, make_session, pushed
 from support.fusion.networks import assert_same_places
 

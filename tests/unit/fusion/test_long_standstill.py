@@ -1,9 +1,8 @@
 """A robot that stands before a camera for long before it drives: bounded, and the same map."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from support.fusion.drives import STANDS_S, Session, pushed
 from support.fusion.networks import apart_sigmas
 from support.fusion.solvers import SlowSolver

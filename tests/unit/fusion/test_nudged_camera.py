@@ -2,10 +2,10 @@
 have shown where it is, and nothing else suffers."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from msgspec.structs import replace as replace_struct
 from support.fusion.drives import EPOCH_NS, Session, lab_plan, make_session
 from support.fusion.solvers import SlowSolver

@@ -1,10 +1,10 @@
 """A whole drive solved offline, against the truth and against its own covariance."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from support.fusion.drives import (
     CameraPlan,
     Session,

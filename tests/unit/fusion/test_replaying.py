@@ -1,9 +1,8 @@
 """A replay works where there is something to do, with what comes of work at every message."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from support.fusion.drives import (
     RobotPlan,
     Session,

@@ -1,10 +1,9 @@
 """Several robots in one map, and cameras that are known from an earlier drive."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from msgspec import structs
+from msgspec.structs import replace
 from support.fusion.drives import (
     RobotPlan,
     Session,

@@ -1,9 +1,8 @@
 """What does not fit is counted and named, and leaves the rest as it is."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from support.fusion.drives import EPOCH_NS, Session, pushed
 
 from trigpoint.base.clock import to_ns

@@ -1,10 +1,10 @@
 """Sightings and odometry that are wrong are set aside, counted, and ruin nothing."""
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from support.fusion.drives import EPOCH_NS, Session, offline, pushed
 from support.fusion.honesty import Messages, assert_honest, assert_sound, changed, statuses
 

@@ -2,12 +2,12 @@
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from msgspec import Struct
 
 from trigpoint.contract import cdr, topics
 from trigpoint.contract.messages import (
@@ -75,8 +75,7 @@ def target_text() -> str:
 TARGET = target_text()
 
 
-@dataclass(frozen=True, slots=True)
-class Sent:
+class Sent(Struct, frozen=True):
     """One message of the session."""
 
     topic: topics.Topic

@@ -1,8 +1,7 @@
 """What the page of a calibration shows, and the figures that it is summed up in."""
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.fusion.coverage.accuracy_map import AccuracyMap
 from trigpoint.fusion.estimators.residuals import CameraResiduals
@@ -17,8 +16,7 @@ from trigpoint.tools.networks.truth import NetworkError
 _ANGLE_STEP = 1e-6
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CalibrationResults:
+class CalibrationResults(Struct, frozen=True, eq=False):
     """A calibration: the network with its joint `covariance` (6n, 6n), `trajectories` (robot ->
     (stamps_ns, map_from_base)), each camera's residuals where the estimator gives them, what was
     `left_out` of the session by reason, `notes` on it in words, the next poses to visit, the

@@ -1,10 +1,10 @@
 """What a run came to: the estimates beside the truth, in numbers. Pure."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from enum import Enum
 
 import numpy as np
+from msgspec import Struct, field
 
 from trigpoint.contract.topics import topic_of
 from trigpoint.geometry import Pose
@@ -20,8 +20,7 @@ _MOST_UNSEEN = 0.03
 """The share of pictures that may go unseen before the figures suffer by it."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CameraResult:
+class CameraResult(Struct, frozen=True, eq=False):
     """One camera of the network beside the `truth`, `error` only where it is located. `came_by`:
     whether the robot showed it its target long enough; `pictures` that were looked at and how many
     more were `skipped`, None where its agent did not say; `given_up`: how many of those looked at
@@ -42,8 +41,7 @@ class CameraResult:
         return self.came_by and self.error is None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Track:
+class Track(Struct, frozen=True, eq=False):
     """A way in the map: seconds since the world's start (n,), metres (n, 2), heading (n,)."""
 
     t_s: Array
@@ -65,16 +63,14 @@ class Track:
         return Track(self.t_s[kept], self.places[kept], self.headings[kept])
 
 
-@dataclass(frozen=True, slots=True)
-class FinalError:
+class FinalError(Struct, frozen=True):
     """Where a robot believes to be, beside the truth, at the end."""
 
     place_m: float
     heading_rad: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RobotResult:
+class RobotResult(Struct, frozen=True, eq=False):
     """One robot's ways: true; by odometry alone; as fusion said it live; as the robot itself
     believed it, once a second; and as the whole session gives it afterwards.
 
@@ -100,8 +96,7 @@ class RobotResult:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class KeyCount:
+class KeyCount(Struct, frozen=True):
     """The messages of one key: `path` is the key without its site; `sent` None where its sender did
     not say; `received` by each part that takes it, the recorder left out where another does."""
 
@@ -124,8 +119,7 @@ class Arrival(Enum):
     BEST_EFFORT = "best effort"
 
 
-@dataclass(frozen=True, slots=True)
-class KindCount:
+class KindCount(Struct, frozen=True):
     """The messages of all keys of one row of the contract: `path` with a `*`, how many keys, and
     what came of them all; None where nobody said."""
 
@@ -144,8 +138,7 @@ class KindCount:
         return sent, received, recorded
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Series:
+class Series(Struct, frozen=True, eq=False):
     """A standard deviation over time: seconds (n,), metres (n,)."""
 
     name: str
@@ -153,8 +146,7 @@ class Series:
     sigma_m: Array
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DemoResults:
+class DemoResults(Struct, frozen=True, eq=False):
     """Everything that the table and the report show. `covariance`: (6n, 6n) of the network's
     located cameras in their order; `error`: the network against the truth; `walls`: (n, 2, 2) ends
     on the floor; `bound_m`: the mean distance error that the Cramér-Rao bound of this drive lets

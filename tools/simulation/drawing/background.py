@@ -4,10 +4,10 @@ Drawn once a camera, per subpixel by ray casting; the same for every seed, as th
 """
 
 import zlib
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.geometry.rotation import Array
 from trigpoint.tools.simulation.motion.actors import SimulatedCamera
@@ -19,8 +19,7 @@ _FAR = 1e6
 _COARSE = 8  # subpixels
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Background:
+class Background(Struct, frozen=True, eq=False):
     """`picture`: (h, w) float32 grey values before vignetting; `wall_distance`: (h, w) float32,
     metres over ground to the wall that a pixel shows, inf where it shows none."""
 

@@ -6,11 +6,11 @@ corners have no bias. Body and shadow are outlines, good enough for the eye.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cache
 
 import cv2
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array, wrap
@@ -30,8 +30,7 @@ _LAMP = np.array([0.35, 0.2, 0.9]) / np.linalg.norm([0.35, 0.2, 0.9])
 Region = tuple[slice, slice]
 
 
-@dataclass(slots=True, eq=False)
-class Canvas:
+class Canvas(Struct, eq=False):
     """A part of a picture. `rays`: the whole picture's `subpixel_rays`; `grey`: the part's values,
     (h, w) float32, drawn on in place, before vignetting; `onward`: the robot's motion, from_later,
     until rows (n,) are exposed, None where all are at once."""

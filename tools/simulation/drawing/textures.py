@@ -1,10 +1,10 @@
 """What is printed on a face, in several resolutions."""
 
-from dataclasses import dataclass
 from functools import cache
 
 import cv2
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.base.errors import InputError
 from trigpoint.site.target import Face, Pattern
@@ -15,8 +15,7 @@ BLACK, WHITE = 28, 222
 NOTHING = 2  # texels of no coverage around a sheet
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Texture:
+class Texture(Struct, frozen=True, eq=False):
     """A sheet: `texels` (h, w, 2) uint8, grey times coverage, and coverage (0 or 255).
 
     The face point (x, y) lies at texel ((x, y) + square) · scale + offset; (0, 0) is a centre.

@@ -1,8 +1,7 @@
 """The cameras and robots of a simulated world, and what may befall them on the way."""
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 from numpy.typing import ArrayLike
 
 from trigpoint.geometry import CameraModel, Pose
@@ -15,8 +14,7 @@ from .path import Drive
 from .way import Way
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Move:
+class Move(Struct, frozen=True, eq=False):
     """At world time `at_s` a camera is knocked: its pose until then is disturbed by `by` (6,),
     metres and radians in the map's axes, by the contract's convention."""
 
@@ -24,8 +22,7 @@ class Move:
     by: Array
 
 
-@dataclass(frozen=True, slots=True)
-class Lift:
+class Lift(Struct, frozen=True):
     """At world time `at_s` a robot is lifted, and put down where its drive would have had it
     `skip_s` seconds later; its wheels turn on, so its odometry shows nothing of it."""
 
@@ -33,8 +30,7 @@ class Lift:
     skip_s: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SimulatedCamera:
+class SimulatedCamera(Struct, frozen=True, eq=False):
     """One camera. It takes picture k at `phase + k / rate` seconds. Standard deviations: `blur_px`
     of the lens, `noise` of a grey value (of 255), `sigma` of a coordinate in sightings that are
     simulated without pictures, pixels. `map_from_camera`: where it hangs at first; its stamps are
@@ -86,8 +82,7 @@ class SimulatedCamera:
         return [part for part in np.split(times_s, cuts) if len(part)]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SimulatedRobot:
+class SimulatedRobot(Struct, frozen=True, eq=False):
     """One robot: its drive in the map, and how it reports it. `target`: what its target file says;
     `mounted`: where its faces really are, where that differs. The drive is the truth, and the
     report scatters about it; where there is a `way`, that is the truth and the drive is reported.

@@ -1,8 +1,7 @@
 """The odometry that a simulated robot reports of its true way."""
 
-from dataclasses import dataclass, field
-
 import numpy as np
+from msgspec import Struct, field
 
 from trigpoint.contract.odometry_noise import step_variances
 from trigpoint.geometry import Pose
@@ -10,8 +9,7 @@ from trigpoint.geometry.rotation import Array, about_z, wrap
 from trigpoint.site.config import OdometryNoise
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class OdometryLog:
+class OdometryLog(Struct, frozen=True, eq=False):
     """Every message: `stamps_s` (n,) world time, `poses` (n) odom_from_base; and the true scale
     errors (2,) of distance and heading that are in them."""
 

@@ -1,16 +1,14 @@
 """The path of a robot: straight lines and arcs through waypoints, at one speed."""
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 from numpy.typing import ArrayLike
 
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array, wrap
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Path:
+class Path(Struct, frozen=True, eq=False):
     """Pieces of constant curvature one after the other, looking along the way.
 
     `starts`: (n, 3) x, y, heading where each piece begins; `distances`: (n + 1,) metres to each
@@ -41,8 +39,7 @@ class Path:
         return Pose.planar(x + chord * np.cos(middle), y + chord * np.sin(middle), heading + turn)
 
 
-@dataclass(frozen=True, slots=True)
-class Drive:
+class Drive(Struct, frozen=True):
     """A path in time: stand, speed up, drive on without a stop, slow down, stand."""
 
     path: Path

@@ -6,9 +6,8 @@ about the report. The two differ where the way between two messages matters: a r
 smooth truth seems to tell when a picture was taken, and does not.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 from numpy.typing import ArrayLike
 
 from trigpoint.contract.odometry_noise import step_variances
@@ -30,8 +29,7 @@ def poses_at(stamps: np.ndarray, poses: Pose, moments: np.ndarray) -> Pose:
     return before.disturbed(poses[rows + 1].difference(before) * share[..., None])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Way:
+class Way(Struct, frozen=True, eq=False):
     """True poses `map_from_base` (n) at moments `stamps_s` (n,) that hold every odometry message
     and every picture, and the scale errors (2,) that the report has."""
 

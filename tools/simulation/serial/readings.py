@@ -1,9 +1,9 @@
 """What a simulated robot's encoders say at any moment, as a function of its odometry alone."""
 
-from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+from msgspec import Struct, field
 
 from trigpoint.base.clock import NANOSECONDS, to_ns
 from trigpoint.geometry import Pose
@@ -11,8 +11,7 @@ from trigpoint.geometry.rotation import Array, log
 from trigpoint.tools.simulation.motion.odometry import OdometryLog, increments
 
 
-@dataclass(frozen=True)
-class Readings:
+class Readings(Struct, frozen=True, dict=True):
     """A robot's odometry; after the world's end the robot stands still and goes on sending."""
 
     log: OdometryLog

@@ -4,10 +4,10 @@ Each is the vendor's side of the line as its documents have it, told by the robo
 """
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.base.clock import to_ns
 from trigpoint.geometry import Pose
@@ -26,8 +26,7 @@ WHEELS = {
 """The drives of robots that send counts."""
 
 
-@dataclass(frozen=True, slots=True)
-class FirmwareClock:
+class FirmwareClock(Struct, frozen=True):
     """The firmware's own clock: 0 at `start_ns` (Unix time), fast by `drift_ppm`."""
 
     start_ns: int

@@ -1,10 +1,10 @@
 """Which corners of a target a camera sees: front side, in the picture, nothing in between."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from functools import cache, lru_cache
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.contract.messages import FaceSighting
 from trigpoint.geometry import CameraModel, Pose
@@ -20,8 +20,7 @@ FEWEST_CORNERS = 6  # of a board that may be seen in part
 STEEPEST_COSINE = 0.26  # of the angle between a face's normal and the line of sight: 75°
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Wall:
+class Wall(Struct, frozen=True, eq=False):
     """An upright rectangle from the floor up; `start`, `end`: (2,) in the map, metres."""
 
     start: Array
@@ -30,8 +29,7 @@ class Wall:
     shade: float = 0.7
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SeenFace:
+class SeenFace(Struct, frozen=True, eq=False):
     """What can be seen of one face: `corners` (n,) ids and their true `pixels` (n, 2)."""
 
     face: Face

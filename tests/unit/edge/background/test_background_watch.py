@@ -1,10 +1,10 @@
 """A camera notices that it was turned or shifted, and nothing else that happens before it."""
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from support.pictures.rooms import room
 
 from benchmarks.pictures.still_hours import StillHour

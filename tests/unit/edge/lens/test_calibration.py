@@ -1,11 +1,11 @@
 """A lens from views: is it right, are its sigmas true, and what is taken and left out."""
 
-from dataclasses import replace
 from itertools import pairwise
 
 import cv2
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from support.pictures.lens_views import BOARD, FISHEYE, PINHOLE, SIZE, board_views
 
 from trigpoint.base.errors import OperationError

@@ -1,10 +1,10 @@
 """What an agent keeps for a calibration, and how it answers."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from support.pictures.boards import target_of
 from support.pictures.lens_views import BOARD, PINHOLE, SIZE, board_views
 

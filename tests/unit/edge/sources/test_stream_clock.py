@@ -1,9 +1,8 @@
 """When pictures of a stream were taken, by their presentation times, arrivals and RTCP."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from trigpoint.base.clock import to_ns
 from trigpoint.edge.sources.frames import Stamp

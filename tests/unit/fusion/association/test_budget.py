@@ -1,9 +1,8 @@
 """What a session is given up for is left open, and nothing else changes."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from support.oracle.sessions import Shape, data_of
 
 from trigpoint.fusion.association import engine, search

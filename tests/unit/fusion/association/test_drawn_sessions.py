@@ -1,11 +1,11 @@
 """Drawn sessions that once came out wrong or not at all, worked out as `calibrate` does."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from benchmarks.compositions.files import write_composition
 from benchmarks.compositions.recipe import Recipe

@@ -1,10 +1,9 @@
 """The engine on small sessions: what it locates is what enumerating every explanation leaves."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from msgspec import structs
+from msgspec.structs import replace
 from support.fusion.drives import pushed
 from support.oracle.agreement import disagreements
 from support.oracle.sessions import Shape, SmallSession, small_session

@@ -1,9 +1,8 @@
 """Where the search for a graph's minimum starts."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from support.oracle.sessions import Shape, graph_of
 
 from trigpoint.fusion.association.graph import Graph, Placed, Tie, Variant

@@ -1,8 +1,7 @@
 """What the noise of a session may be."""
 
-from dataclasses import replace
-
 import pytest
+from msgspec.structs import replace
 from support.oracle.sessions import Shape, data_of
 
 from trigpoint.fusion.association.events import Events

@@ -1,9 +1,8 @@
 """A visit linearised by the core is that of numpy, with every kind of unknown."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from support.fusion import small_problems
 from support.fusion.slow_linear import SlowLinear, slow_linear
 from support.fusion.small_problems import first_state, small_data

@@ -1,9 +1,8 @@
 """The misfit of a visit, its derivatives by the noise, and what broke on the way."""
 
-from dataclasses import astuple, replace
-
 import numpy as np
 import pytest
+from msgspec.structs import astuple, replace
 from support.fusion.linear_visits import drawn_visit, slow_misfit
 
 from trigpoint.fusion.association.events import Events

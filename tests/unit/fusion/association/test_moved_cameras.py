@@ -1,10 +1,9 @@
 """Cameras that hang otherwise than one would think: pushed along the floor, below it, and known
 from before but moved since."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from support.fusion.drives import (
     CameraPlan,
     Plan,

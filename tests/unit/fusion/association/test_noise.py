@@ -1,10 +1,10 @@
 """Noise is learnt where a session tells, and stays as stated where it does not."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from support.fusion.linear_visits import simple_visit
 
 from trigpoint.fusion.association.budget import Budget

@@ -1,9 +1,8 @@
 """Where one camera is that a robot drives past, or in words why not."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from support.fusion.drives import (
     CameraPlan,
     Plan,

@@ -1,9 +1,8 @@
 """How a robot moved between visits, by what other visits show of it."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from support.fusion.drives import (
     Plan,
     RobotPlan,

@@ -1,8 +1,7 @@
 """How a picture is read whose camera is known, and what of it is wrong."""
 
-from dataclasses import replace
-
 import numpy as np
+from msgspec.structs import replace
 from support.fusion.drives import Session, observed
 
 from trigpoint.fusion.association.events import Events

@@ -1,10 +1,9 @@
 """Which of two robots that carry one target a visit is of."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from msgspec import structs
+from msgspec.structs import replace
 from support.fusion.drives import (
     Plan,
     RobotPlan,

@@ -1,10 +1,9 @@
 """The map over a floor: what its figures mean, what planners get of it, when it is new."""
 
-from dataclasses import replace
-
 import msgspec
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from support.fusion.networks import located
 
 from benchmarks.fusion.accuracy_map import drawn

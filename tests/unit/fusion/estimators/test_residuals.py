@@ -1,9 +1,8 @@
 """What a solution leaves over of the corners, as it is handed out."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from support.fusion.drives import Session, lab_plan, make_session, pushed
 
 from trigpoint.contract.messages import Sightings

@@ -1,10 +1,9 @@
 """A fixed map: corrections as good as with learning, from a past that is not kept."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from msgspec import structs
+from msgspec.structs import replace
 from support.fusion.drives import Plan, Session, make_session, pictures_of
 from support.fusion.fixed_maps import (
     corrections,

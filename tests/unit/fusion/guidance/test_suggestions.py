@@ -1,11 +1,12 @@
 """Suggestions of where to go next, held against what a visit there brings."""
 
 import copy
-from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 import pytest
+from msgspec import Struct
+from msgspec.structs import replace
 from support.builders import eventually
 from support.fusion.drives import EPOCH_NS, STEP_S, Session, Way, lab_plan, make_session
 
@@ -42,8 +43,7 @@ def fed(session: Session, messages: tuple) -> Pipeline:
     return replayed(Pipeline(session.inputs, is_live=False), messages)
 
 
-@dataclass(frozen=True, slots=True)
-class Drive:
+class Drive(Struct, frozen=True):
     """A first drive: its session, its pipeline as it was at the end, and what is known then."""
 
     session: Session

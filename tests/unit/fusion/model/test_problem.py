@@ -1,9 +1,8 @@
 """The normal equations against finite differences of the cost and of its residuals."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from numpy.linalg import LinAlgError
 from support.fusion.slow_problem import known_errors, rescaled, slow_equations
 from support.fusion.small_problems import (

@@ -1,9 +1,8 @@
 """Corners that a rolling shutter saw, held against the robot's way while its rows were exposed."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from support.fusion.small_problems import SIGMA, first_state, small_data, true_pose
 
 from trigpoint.base.clock import to_ns

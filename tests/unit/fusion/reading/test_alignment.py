@@ -1,9 +1,8 @@
 """A robot's pose before a located camera, by one picture and what was known before."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from trigpoint.fusion.model.observations import Observation, Reading, View, observation_of
 from trigpoint.fusion.reading.alignment import Alignment, PosePrior, align

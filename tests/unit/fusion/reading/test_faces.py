@@ -1,9 +1,8 @@
 """Which face a picture shows and which way up: the truth is always among the candidates."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from support.fusion.drives import lens
 
 from trigpoint.contract.messages import FaceSighting

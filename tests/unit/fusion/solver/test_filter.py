@@ -1,9 +1,8 @@
 """What a batch solution knows, carried on sighting by sighting, against the batch over all."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from support.fusion.drives import Session
 from support.fusion.small_problems import EPOCH_NS, first_state, small_data, true_pose
 

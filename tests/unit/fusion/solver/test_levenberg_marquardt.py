@@ -1,12 +1,12 @@
 """Elimination against the dense matrix, and steps to the least cost."""
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from numpy.linalg import LinAlgError
 from support.fusion.slow_problem import node_rows, slow_equations, slow_minimum
 from support.fusion.small_problems import (

@@ -1,9 +1,8 @@
 """What a picture's corners err in together, against the covariance written out."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from support.fusion.slow_problem import about_best_fit, picture_of
 from support.fusion.small_problems import small_problem
 

@@ -1,10 +1,10 @@
 """What a sighting is off, by where robot and camera are said to be."""
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from trigpoint.contract.messages import FaceSighting, PoseEstimate
 from trigpoint.geometry import Pose

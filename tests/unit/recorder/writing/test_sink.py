@@ -5,10 +5,10 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from msgspec.structs import replace
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 from support.builders import eventually, make_odometry
@@ -323,7 +323,7 @@ def test_a_recording_without_room_waits_and_goes_on(tmp_path: Path) -> None:
     assert said[-1] == ""
 
 
-class FullAtFirst(Room):
+class FullAtFirst(Room, frozen=True):
     """A disk on which room is made after the first look."""
 
     def problem(self, running: Path, finished: Iterable[Path] = ()) -> str:

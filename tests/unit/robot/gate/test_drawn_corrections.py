@@ -9,11 +9,11 @@ do. Nothing random is left to chance: the seed decides.
 import math
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import replace
 from uuid import UUID
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from trigpoint.base.clock import to_ns
 from trigpoint.contract.correction import CorrectionMark

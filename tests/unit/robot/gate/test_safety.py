@@ -1,9 +1,8 @@
 """Which corrections reach a robot: each rule by itself."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from support.site.gate_drive import MAP, OTHER_MAP, Site, off_by, placed, reason
 
 from trigpoint.base.clock import to_ns

@@ -1,11 +1,11 @@
 """The command `calibrate`, as a user runs it."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from support.commands import Cli
 from support.fusion.drives import Session, offline, write_session
 

@@ -1,10 +1,10 @@
 """The Cramér-Rao bound of a session, against the estimator's own covariance."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from support.fusion.drives import EPOCH_NS, Session, make_session, offline, write_session
 
 from trigpoint.base.clock import to_ns

@@ -1,11 +1,11 @@
 """The folder that `simulate` writes."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from support.commands import Cli
 
 from trigpoint.base.clock import to_ns

@@ -1,12 +1,12 @@
 """Rendered pictures, held against the projected truth."""
 
 import copy
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from trigpoint.geometry import CameraModel
 from trigpoint.geometry.camera import LensModel

@@ -1,11 +1,12 @@
 from collections.abc import Callable
-from dataclasses import fields, is_dataclass
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from msgspec import Struct
+from msgspec.structs import fields
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from trigpoint.base.errors import MessageError
@@ -131,7 +132,7 @@ def assert_equal(first: object, second: object) -> None:
         assert len(first) == len(second)
         for one, other in zip(first, second, strict=True):
             assert_equal(one, other)
-    elif is_dataclass(first):
+    elif isinstance(first, Struct):
         assert type(first) is type(second)
         for field in fields(first):
             assert_equal(getattr(first, field.name), getattr(second, field.name))

@@ -1,9 +1,9 @@
-from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from msgspec import Struct
 from support.builders import TARGET_TEXT, make_target
 
 from trigpoint.base.errors import TargetError
@@ -97,8 +97,7 @@ def test_marked_patterns_never_read_from_both_ends() -> None:
     assert not make_face(pattern=Pattern.CHARUCO, **MARKED).reads_from_both_ends
 
 
-@dataclass(frozen=True, slots=True)
-class Bad:
+class Bad(Struct, frozen=True):
     old: str
     new: str
     complaint: str

@@ -1,12 +1,12 @@
 """Both recursive filters as estimators: a map from nothing, honest, and what they set aside."""
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import cast
 
 import msgspec
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from support.fusion.drives import (
     EPOCH_NS,
     CameraPlan,

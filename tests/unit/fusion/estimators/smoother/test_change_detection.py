@@ -1,9 +1,8 @@
 """A camera that is moved, a robot that is lifted, and a wrong sighting: each for what it is."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from msgspec.structs import replace as replace_struct
 from support.fusion.drives import (
     EPOCH_NS,

@@ -1,10 +1,9 @@
 """The noise that an odometry has, from differences drawn with it and from whole drives."""
 
-from dataclasses import replace
-
 import msgspec
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from support.fusion.drives import (
     RobotPlan,
     Session,

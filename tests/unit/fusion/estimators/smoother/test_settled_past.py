@@ -1,8 +1,7 @@
 """From when on sightings are kept, so that memory is bounded and no robot is lost."""
 
-from dataclasses import replace
-
 import pytest
+from msgspec.structs import replace
 from support.fusion.drives import EPOCH_NS
 from support.fusion.small_problems import small_data
 

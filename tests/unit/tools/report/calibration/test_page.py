@@ -1,12 +1,12 @@
 """The page of a calibration as a reader's browser gets it."""
 
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from support.commands import Cli
 from support.fusion.drives import (
     CameraPlan,
