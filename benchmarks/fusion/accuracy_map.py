@@ -17,13 +17,17 @@ import typer
 from msgspec import Struct
 
 from benchmarks.machine import machine
-from trigpoint.fusion.coverage.boards import Carried
 from trigpoint.fusion.coverage.correction_errors import Pictures, expected_errors
-from trigpoint.fusion.coverage.floor import floor_of
-from trigpoint.fusion.coverage.known_network import KnownNetwork, carried_by, known_network
-from trigpoint.fusion.coverage.sight import headings_rad, seen_by
+from trigpoint.fusion.coverage.floor import HEADINGS, floor_of, headings_rad
+from trigpoint.fusion.coverage.known_network import (
+    Carried,
+    KnownNetwork,
+    carried_by,
+    known_network,
+)
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.pipeline import Inputs
+from trigpoint.fusion.reading.sight import told_by
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.tools.simulation.world import World
@@ -76,11 +80,11 @@ def drawn(
     network = known_network(results.network, results.covariance)
     [carried] = carried_by(inputs.site.robots, inputs.targets, results.network)
     places, headings = _drawn_places(network, carried, cells, random)
-    stated, needs, cameras = _stated(network, carried, places, headings)
     corrector = Corrector.of(inputs, network, carried.robots[0])
     base = Pose.planar(places[:, 0], places[:, 1], headings_rad()[headings])
+    stated, needs, cameras = _stated(network, carried, base)
     off = _errors(network, cells, true_poses, random)
-    shown = sightings(carried.target, base, network.eyes, off, _SIGMA_PX, random)
+    shown = sightings(carried.faces.target, base, network.eyes, off, _SIGMA_PX, random)
     error, needed = np.full(cells, np.inf), np.full(cells, -1)
     for row in range(cells):
         if len(shown[row]) == 1:
@@ -109,29 +113,25 @@ def _drawn_places(
 ) -> tuple[Array, np.ndarray]:
     """Middles of cells (n, 2) of the floor that some camera may see, and headings by number."""
     floor = floor_of(network, (carried,), np.zeros((0, 2)))
-    near = np.stack([eye.may_see(carried, floor.centres) for eye in network.eyes]).any(axis=0)
+    near = np.stack([eye.may_see(carried.faces, floor.centres) for eye in network.eyes]).any(axis=0)
     chosen = random.choice(np.flatnonzero(near), cells)
-    return floor.centres[chosen], random.integers(len(headings_rad()), size=cells)
+    return floor.centres[chosen], random.integers(HEADINGS, size=cells)
 
 
 def _stated(
-    network: KnownNetwork, carried: Carried, places: Array, headings: np.ndarray
+    network: KnownNetwork, carried: Carried, base: Pose
 ) -> tuple[Array, np.ndarray, np.ndarray]:
     """What the map says: the radius, the one camera that is needed, and how many see the robot."""
     parts: list[tuple[np.ndarray, ...]] = []
     for number, eye in enumerate(network.eyes):
-        for heading, turn in enumerate(headings_rad()):
-            rows = np.flatnonzero(headings == heading)
-            seen = seen_by(eye, carried, places[rows], np.array([turn]))
-            rows = rows[seen.rows]
-            arm = np.column_stack([places[rows], np.zeros(len(rows))])
-            arm -= eye.map_from_camera.translation
-            parts.append((rows, np.full(len(rows), number), seen.information, arm))
+        told = told_by(eye, carried.faces, base)
+        arm = base.translation[told.rows] - eye.map_from_camera.translation
+        parts.append((told.rows, np.full(len(told.rows), number), told.information, arm))
     pictures = Pictures(*(np.concatenate(part) for part in zip(*parts, strict=True)))
     pictures = pictures.where(np.argsort(pictures.pose, kind="stable"))
-    errors = expected_errors(pictures, len(places), network.covariance, carried.tangent)
-    counts = np.bincount(pictures.pose, minlength=len(places))
-    needs = np.full(len(places), -1)
+    errors = expected_errors(pictures, len(base), network.covariance, carried.tangent)
+    counts = np.bincount(pictures.pose, minlength=len(base))
+    needs = np.full(len(base), -1)
     alone = counts[pictures.pose] == 1
     needs[pictures.pose[alone]] = pictures.camera[alone]
     return errors.by_pose, needs, counts

@@ -5,7 +5,6 @@ import numpy as np
 from msgspec import Struct
 
 from trigpoint.contract.messages import FaceSighting
-from trigpoint.fusion.coverage.eye import Eye
 from trigpoint.fusion.coverage.known_network import KnownNetwork
 from trigpoint.fusion.estimators.robot_alignment import align_to
 from trigpoint.fusion.model.dataset import DataSet
@@ -25,6 +24,7 @@ from trigpoint.fusion.model.problem import (
     layout_of,
 )
 from trigpoint.fusion.pipeline import Inputs
+from trigpoint.fusion.reading.sight import Eye
 from trigpoint.fusion.solver.filter import Filter, RobotEstimate
 from trigpoint.fusion.solver.gaussian import Gaussian
 from trigpoint.geometry import Pose

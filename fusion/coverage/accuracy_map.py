@@ -10,13 +10,12 @@ from collections.abc import Callable
 import numpy as np
 from msgspec import Struct
 
+from trigpoint.fusion.reading.sight import told_by
 from trigpoint.geometry.rotation import Array
 
-from .boards import Carried
 from .correction_errors import Pictures, expected_errors
-from .floor import DRIVEN_M, Floor
-from .known_network import KnownNetwork
-from .sight import HEADINGS, headings_rad, seen_by
+from .floor import DRIVEN_M, HEADINGS, Floor, standing
+from .known_network import Carried, KnownNetwork
 
 NOBODY = -1
 WITHIN_M = (0.01, 0.02, 0.05, 0.10, math.inf)
@@ -175,16 +174,15 @@ def _pictures(network: KnownNetwork, carried: Carried, places: Array) -> Picture
     """The pictures of a robot at places (n, 2) in each heading."""
     pose, camera, information, arm = [], [], [], []
     for number, eye in enumerate(network.eyes):
-        near = np.flatnonzero(eye.may_see(carried, places))
+        near = np.flatnonzero(eye.may_see(carried.faces, places))
         if not len(near):
             continue
-        seen = seen_by(eye, carried, places[near], headings_rad())
-        pose.append(near[seen.rows // HEADINGS] * HEADINGS + seen.rows % HEADINGS)
-        camera.append(np.full(len(seen.rows), number))
-        information.append(seen.information)
-        base = places[near[seen.rows // HEADINGS]]
-        base = np.column_stack([base, np.zeros(len(base))])
-        arm.append(base - eye.map_from_camera.translation)
+        bases = standing(places[near])
+        told = told_by(eye, carried.faces, bases)
+        pose.append(near[told.rows // HEADINGS] * HEADINGS + told.rows % HEADINGS)
+        camera.append(np.full(len(told.rows), number))
+        information.append(told.information)
+        arm.append(bases.translation[told.rows] - eye.map_from_camera.translation)
     if not pose:
         nothing = np.zeros(0, dtype=int)
         return Pictures(nothing, nothing, np.zeros((0, 6, 6)), np.zeros((0, 3)))

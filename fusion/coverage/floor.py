@@ -7,15 +7,16 @@ import numpy as np
 from msgspec import Struct
 
 from trigpoint.fusion.model.places import are_near
+from trigpoint.fusion.reading.sight import told_by
+from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
-from .boards import Carried
-from .known_network import KnownNetwork
-from .sight import headings_rad, seen_by
+from .known_network import Carried, KnownNetwork
 
 CELL_M = 0.1
 DRIVEN_M = 0.5
 """Floor is where a robot drove, and so far about it; and where a camera would see one."""
+HEADINGS = 8
 _COARSE_M = 0.5
 _COARSE_HEADINGS = 6
 _TILE = 32  # cells
@@ -74,6 +75,17 @@ def floor_of(
     return floor_about(np.concatenate(parts), cell_m=cell_m, most_cells=most_cells)
 
 
+def headings_rad(count: int = HEADINGS) -> Array:
+    """So many headings, evenly around, (count,)."""
+    return np.arange(count) * 2 * np.pi / count
+
+
+def standing(places: Array, headings: int = HEADINGS) -> Pose:
+    """A robot at places (n, 2), in each of so many headings, (n · headings)."""
+    x, y = np.repeat(places, headings, axis=0).T
+    return Pose.planar(x, y, np.tile(headings_rad(headings), len(places)))
+
+
 def each_decimetre(places: Sequence[Array]) -> Array:
     """Where robots were, (n, 2), each decimetre once; `places`: parts (m, 2 or 3)."""
     flat = np.concatenate([np.zeros((0, 2)), *(part[:, :2] for part in places)])
@@ -97,12 +109,12 @@ def floor_about(places: Array, *, cell_m: float = CELL_M, most_cells: int | None
 def _seen_coarsely(network: KnownNetwork, carried: Carried) -> Iterator[Array]:
     """For each camera, places (n, 2) about which it may see a robot."""
     for eye in network.eyes:
-        _, reach, square = carried.ball
+        _, reach, square = carried.faces.ball
         far = min(eye.reach_m(square) + reach, _LARGEST_M / 2)
         count = math.ceil(far / _COARSE_M)
         steps = np.arange(-count, count + 1) * _COARSE_M
         around = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
         places = around + eye.map_from_camera.translation[:2]
-        places = places[eye.may_see(carried, places)]
-        seen = seen_by(eye, carried, places, headings_rad(_COARSE_HEADINGS))
-        yield places[np.unique(seen.rows // _COARSE_HEADINGS)]
+        places = places[eye.may_see(carried.faces, places)]
+        told = told_by(eye, carried.faces, standing(places, _COARSE_HEADINGS))
+        yield places[np.unique(told.rows // _COARSE_HEADINGS)]

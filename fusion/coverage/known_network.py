@@ -7,17 +7,24 @@ from msgspec import Struct
 
 from trigpoint.fusion.model.observations import LEAST_SIGMA_PX
 from trigpoint.fusion.model.odometry import PLANAR, SPATIAL
+from trigpoint.fusion.reading.sight import Eye, Faces
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.map.network import CameraRecord, Network, RobotRecord
 from trigpoint.site.config import RobotConfig
 from trigpoint.site.target import Target
 
-from .boards import Carried
-from .eye import Eye
-
 USUAL_SIGMA_PX = 0.15
 """Of a corner where no camera of a network has seen one: the simulated lab's."""
+
+
+class Carried(Struct, frozen=True, eq=False):
+    """What robots carry. `robots`: who; `faces`: of their target, as these were found to be
+    mounted; `tangent`: the components of their pose that are free."""
+
+    robots: tuple[str, ...]
+    faces: Faces
+    tangent: tuple[int, ...]
 
 
 class KnownNetwork(Struct, frozen=True, eq=False):
@@ -81,19 +88,18 @@ def carried_by(
     the same in the same way are together."""
     found: list[Carried] = []
     for name, config in robots.items():
-        target = targets[name]
-        faces = _faces(target, network.robots.get(name))
+        faces = _faces(targets[name], network.robots.get(name))
         tangent = tuple(PLANAR if config.planar else SPATIAL)
         for index, other in enumerate(found):
-            if _is_alike(other, target, faces, tangent):
-                found[index] = Carried((*other.robots, name), target, faces, tangent)
+            if _is_alike(other, faces, tangent):
+                found[index] = Carried((*other.robots, name), faces, tangent)
                 break
         else:
-            found.append(Carried((name,), target, faces, tangent))
+            found.append(Carried((name,), faces, tangent))
     return tuple(found)
 
 
-def _faces(target: Target, record: RobotRecord | None) -> Pose:
+def _faces(target: Target, record: RobotRecord | None) -> Faces:
     said = {face.id: face for face in record.target.faces} if record is not None else {}
     poses = [
         Pose.from_quaternion(said[face.id].translation, said[face.id].quaternion)
@@ -101,13 +107,14 @@ def _faces(target: Target, record: RobotRecord | None) -> Pose:
         else face.base_from_face
         for face in target.faces
     ]
-    return Pose.stack(poses)
+    return Faces(target, Pose.stack(poses))
 
 
-def _is_alike(one: Carried, target: Target, faces: Pose, tangent: Sequence[int]) -> bool:
+def _is_alike(one: Carried, faces: Faces, tangent: Sequence[int]) -> bool:
+    mine, other = one.faces.base_from_face, faces.base_from_face
     return (
-        one.target.faces == target.faces
+        one.faces.target.faces == faces.target.faces
         and one.tangent == tuple(tangent)
-        and bool(np.allclose(one.base_from_face.translation, faces.translation, atol=1e-4))
-        and bool(np.allclose(one.base_from_face.rotation, faces.rotation, atol=1e-4))
+        and bool(np.allclose(mine.translation, other.translation, atol=1e-4))
+        and bool(np.allclose(mine.rotation, other.rotation, atol=1e-4))
     )

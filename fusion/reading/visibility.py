@@ -1,10 +1,10 @@
 """A target as an opaque solid: where its corners are, and which of them are visible from where.
 
 A face shows its pattern on its front alone, and no corner is visible through another face. So a
-reading that would need either is impossible, however well its corners fit.
+reading that would need either is impossible, however well its corners fit: the core decides that
+(`reading.cpp`).
 """
 
-from collections.abc import Sequence
 from functools import cache, lru_cache
 
 import numpy as np
@@ -14,8 +14,6 @@ from trigpoint.fusion.model.observations import Reading, View, base_from_faces
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.site.target import Target
-
-_BESIDE = 1e-3
 
 
 class Body(Struct, frozen=True, eq=False):
@@ -74,45 +72,3 @@ def ways_of(readings: tuple[Reading, ...]) -> tuple[np.ndarray, np.ndarray]:
     """The face of each reading, and whether it is turned, (r,)."""
     faces = np.array([reading.face for reading in readings])
     return faces, np.array([reading.is_turned for reading in readings])
-
-
-def corners_hidden(body: Body, face: int, eyes: Array, others: Sequence[int]) -> np.ndarray:
-    """Which corners of a face other faces hide from eyes (v, 3) in the base frame, (v, corners)."""
-    corners = body.table[face, : body.counts[face]]
-    start = _in_faces(body, eyes)[..., None]
-    end = _in_faces(body, corners)[:, :, None]
-    hidden = np.zeros((len(eyes), len(corners)), dtype=bool)
-    for other in others:
-        one = slice(other, other + 1)
-        hidden |= _go_through(_only(body, one), start[one], end[one])[0]
-    return hidden
-
-
-def _only(body: Body, faces: slice) -> Body:
-    """A body of some of its faces."""
-    return Body(
-        body.table[faces],
-        body.counts[faces],
-        body.base_from_face[faces],
-        body.face_from_base[faces],
-        body.low[faces],
-        body.high[faces],
-    )
-
-
-def _in_faces(body: Body, points: Array) -> Array:
-    """Points (n, 3) of the base frame in each face's frame, (f, 3, n)."""
-    return body.face_from_base.rotation @ points.T + body.face_from_base.translation[..., None]
-
-
-def _go_through(body: Body, start: Array, end: Array) -> np.ndarray:
-    """Which lines between points in each face's frame (f, 3, …) go through its pattern, (f, …)."""
-    shape = (-1, *([1] * (start.ndim - 2)))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        share = start[:, 2] / (start[:, 2] - end[:, 2])
-        through = (share > _BESIDE) & (share < 1 - _BESIDE)
-        for axis in (0, 1):
-            crossing = start[:, axis] + share * (end[:, axis] - start[:, axis])
-            through &= crossing > body.low[:, axis].reshape(shape)
-            through &= crossing < body.high[:, axis].reshape(shape)
-    return through

@@ -21,8 +21,8 @@ from msgspec import Meta, Struct
 
 from trigpoint.base.errors import InputError
 from trigpoint.base.words import nearest
-from trigpoint.fusion.coverage.eye import Eye
 from trigpoint.fusion.coverage.known_network import KnownNetwork
+from trigpoint.fusion.reading.sight import Eye
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.site.camera_info import read_camera_info
 from trigpoint.site.config.number_types import Count, Positive

@@ -7,7 +7,7 @@ from typing import Any
 
 from trigpoint.base.terminal import table
 from trigpoint.fusion.coverage.accuracy_map import WITHIN_M, AccuracyMap, class_name
-from trigpoint.fusion.coverage.sight import HEADINGS
+from trigpoint.fusion.coverage.floor import HEADINGS
 
 from .work import Gain
 

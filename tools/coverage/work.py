@@ -9,11 +9,10 @@ from msgspec.structs import replace
 
 from trigpoint.base.errors import InputError
 from trigpoint.fusion.coverage.accuracy_map import AccuracyMap, accuracy_map
-from trigpoint.fusion.coverage.boards import Carried
-from trigpoint.fusion.coverage.eye import Eye
 from trigpoint.fusion.coverage.floor import DRIVEN_M, Floor, each_decimetre, floor_of
-from trigpoint.fusion.coverage.known_network import KnownNetwork, carried_by, known_network
+from trigpoint.fusion.coverage.known_network import Carried, KnownNetwork, carried_by, known_network
 from trigpoint.fusion.estimators.results import Results
+from trigpoint.fusion.reading.sight import Eye
 from trigpoint.geometry.rotation import Array
 from trigpoint.map.network import load_covariance, load_network, load_tum
 from trigpoint.site.config import load_site
@@ -114,7 +113,7 @@ def _with_one_more(
 ) -> tuple[AccuracyMap, AccuracyMap]:
     """The old map and the new one on the cells that the last camera of a network may see: it
     changes nothing on the others."""
-    near = network.eyes[-1].may_see(carried, floor.centres)
+    near = network.eyes[-1].may_see(carried.faces, floor.centres)
     if wanted is not None:
         near &= wanted
     new = accuracy_map(network, carried, floor, known.driven, wanted=near)

@@ -180,9 +180,13 @@ class CameraModel(Struct, frozen=True):
         """
         flat, shape = _rows(points, 3)
         seen = np.empty(len(flat), dtype=bool)
-        limits = np.array([self.width, self.height, _fold_radius(self), margin_px], dtype=float)
-        _SEEN(self.parameters, flat, limits, seen)
+        _SEEN(self.parameters, flat, self.limits(margin_px), seen)
         return seen.reshape(shape)
+
+    def limits(self, margin_px: float) -> Array:
+        """Where it sees, as the core takes it (`Frame` of `lens.hpp`), (4,): the picture's size,
+        where the lens folds back, and the margin."""
+        return np.array([self.width, self.height, _fold_radius(self), margin_px], dtype=float)
 
     def directions(self, pixels: ArrayLike) -> Array:
         """Normalised coordinates (…, 2) = (x/z, y/z) that project to pixels (…, 2).

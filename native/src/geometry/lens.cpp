@@ -187,23 +187,11 @@ TRIGPOINT_KERNEL(tp_lens_projected) {
 // lens folds back, and the least distance from the middles of the outermost pixels; whether each is
 // seen (n,)): 0.
 TRIGPOINT_KERNEL(tp_lens_sees) {
-    constexpr double NEAREST = 1e-6;
     const Lens lens = lens_of(arguments[0]);
     const auto points = arguments[1].array.rows<3>();
-    const double* limits = arguments[2].array.as<double>();
-    const Eigen::Array2d low = Eigen::Array2d::Constant(limits[3]),
-                         high = Eigen::Array2d(limits[0], limits[1]) - 1 - limits[3];
-    bool* is_seen = arguments[3].array.as<bool>();
-    Eigen::Matrix<double, 2, 3> by_point;
-    for (Index n = 0; n < points.rows(); ++n) {
-        const Eigen::Vector3d point = points.row(n);
-        is_seen[n] = point.z() > NEAREST;
-        if (!is_seen[n]) continue;
-        const Eigen::Array2d pixel = lens.project(point, by_point);
-        is_seen[n] = (pixel >= low).all() && (pixel <= high).all() &&
-                     (point.head<2>() / point.z()).norm() < limits[2] &&
-                     by_point.leftCols<2>().determinant() > 0;
-    }
+    const Frame frame(arguments[2].array.as<double>());
+    for (Index n = 0; n < points.rows(); ++n)
+        arguments[3].array.as<bool>()[n] = frame.shows(lens, points.row(n));
     return 0;
 }
 

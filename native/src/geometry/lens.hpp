@@ -36,4 +36,31 @@ private:
     double k_[8] = {};  // k1 k2 p1 p2 k3 k4 k5 k6, or k1 k2 k3 k4
 };
 
+// What of a picture counts, and where a lens shows anything.
+class Frame {
+public:
+    static constexpr double NEAREST = 1e-6;  // before the camera
+
+    // The picture's width and height, how far from the axis the lens folds back, and the least
+    // distance from the middles of the outermost pixels.
+    explicit Frame(const double* limits)
+        : low_(limits[3], limits[3]),
+          high_(limits[0] - 1 - limits[3], limits[1] - 1 - limits[3]),
+          fold_(limits[2]) {}
+
+    // Whether a point of the optical frame is seen.
+    bool shows(const Lens& lens, const Eigen::Vector3d& point) const {
+        if (!(point.z() > NEAREST)) return false;
+        Eigen::Matrix<double, 2, 3> by_point;
+        const Eigen::Array2d pixel = lens.project(point, by_point);
+        return (pixel >= low_).all() && (pixel <= high_).all() &&
+               (point.head<2>() / point.z()).norm() < fold_ &&
+               by_point.leftCols<2>().determinant() > 0;
+    }
+
+private:
+    Eigen::Array2d low_, high_;
+    double fold_;
+};
+
 }  // namespace trigpoint

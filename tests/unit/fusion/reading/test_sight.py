@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from trigpoint.fusion.coverage.boards import Carried
-from trigpoint.fusion.coverage.eye import Eye
-from trigpoint.fusion.coverage.sight import headings_rad, seen_by
+from trigpoint.fusion.coverage.floor import HEADINGS, standing
 from trigpoint.fusion.model.observations import base_from_faces
 from trigpoint.fusion.model.projection import projected
+from trigpoint.fusion.reading.sight import DETECTED, Eye, Faces, corners_found, told_by
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.camera import LensModel
 from trigpoint.geometry.rotation import Array
@@ -41,8 +40,8 @@ def grid_target() -> Target:
     return Target("grid", (plain,))
 
 
-def carried(target: Target) -> Carried:
-    return Carried(("r1",), target, base_from_faces(target), (0, 1, 5))
+def mounted(target: Target) -> Faces:
+    return Faces(target, base_from_faces(target))
 
 
 def eye(lens: CameraModel) -> Eye:
@@ -59,22 +58,22 @@ def eye(lens: CameraModel) -> Eye:
 def test_a_robot_is_seen_where_the_labs_detector_finds_a_face(
     target: Target, lens: CameraModel
 ) -> None:
-    camera, body = eye(lens), carried(target)
+    camera, faces = eye(lens), mounted(target)
     places = np.random.default_rng(5).uniform([0.5, -1.5], [4.5, 2.5], (80, 2))
-    turns = headings_rad()
-    seen = seen_by(camera, body, places, turns)
-    found = np.zeros(len(places) * len(turns), dtype=bool)
-    found[seen.rows] = True
-    x, y = np.repeat(places, len(turns), axis=0).T
-    bases = Pose.planar(x, y, np.tile(turns, len(places)))
+    bases = standing(places)
+    told_of = told_by(camera, faces, bases)
+    found = np.zeros(len(bases), dtype=bool)
+    found[told_of.rows] = True
     each = seen_faces_each(target, bases, camera.map_from_camera, camera.lens, ())
     shown = [[face for face in faces if face.is_found(LEAST_SIDE_PX)] for faces in each]
     truth = np.array([bool(faces) for faces in shown])
+    corners = corners_found(camera, faces, bases, DETECTED)
+    assert np.array_equal(corners.any(axis=(1, 2)), found)
     assert 40 < truth.sum() < len(truth) - 40
     # Sheets have a white edge beyond the pattern, which hides a corner or two more.
     assert np.mean(found == truth) > 0.995
     logs = []
-    for row, information in zip(seen.rows.tolist(), seen.information, strict=True):
+    for row, information in zip(told_of.rows.tolist(), told_of.information, strict=True):
         if truth[row]:
             told = sum(information_of(face, bases[row], camera) for face in shown[row])
             logs.append(np.log(np.linalg.det(information) / np.linalg.det(told)) / 12)
@@ -94,17 +93,15 @@ def information_of(seen: SeenFace, base: Pose, camera: Eye) -> Array:
 
 
 def test_what_may_be_seen_leaves_out_nothing_that_is() -> None:
-    camera, body = eye(BARREL), carried(target_of("charuco"))
+    camera, faces = eye(BARREL), mounted(target_of("charuco"))
     places = np.random.default_rng(6).uniform(-9.0, 9.0, (2000, 2))
-    seen = seen_by(camera, body, places, headings_rad(4))
-    may = camera.may_see(body, places)
-    assert may[np.unique(seen.rows // 4)].all()
+    told = told_by(camera, faces, standing(places))
+    may = camera.may_see(faces, places)
+    assert may[np.unique(told.rows // HEADINGS)].all()
     assert may.mean() < 0.6
 
 
 def test_a_board_that_turns_its_back_is_not_seen() -> None:
     target = grid_target()
-    camera, body = eye(BARREL), carried(target)
-    places = np.array([[3.0, 1.0]])
-    seen = seen_by(camera, body, places, headings_rad(36))
-    assert 3 <= len(seen.rows) <= 16
+    told = told_by(eye(BARREL), mounted(target), standing(np.array([[3.0, 1.0]]), 36))
+    assert 3 <= len(told.rows) <= 16
