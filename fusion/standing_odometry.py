@@ -15,7 +15,6 @@ from trigpoint.base.clock import to_ns
 from trigpoint.contract.messages import Odometry
 from trigpoint.geometry import Pose
 
-from .model.increment import in_plane
 from .model.odometry import LONGEST_GAP_S, MOST_STANDING
 from .model.rest import RECENT_S, Rest
 
@@ -27,8 +26,7 @@ class StandingOdometry:
     """One robot's odometry on its way to the checkpoint. Not thread-safe."""
 
     def __init__(self, *, planar: bool = True) -> None:
-        self._planar = planar
-        self._rest = Rest()
+        self._rest = Rest(planar=planar)
         self._pose: Pose | None = None
         self._last_ns: int | None = None
         # The last messages where they are not stored.
@@ -72,8 +70,7 @@ class StandingOdometry:
 
     def _has_stood(self, message: Odometry) -> bool:
         before = self._pose
-        reported = in_plane(message.pose) if self._planar else message.pose
-        self._pose = here = self._rest.add(message.stamp_ns, reported)
+        self._pose = here = self._rest.add(message.stamp_ns, message.pose)
         if before is None or not np.array_equal(here.translation, before.translation):
             return False
         return np.array_equal(here.rotation, before.rotation)

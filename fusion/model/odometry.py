@@ -7,7 +7,7 @@ the increment's twist and of its variance. The core composes the motion (`odomet
 
 import bisect
 import copy
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from enum import Enum
 
 import numpy as np
@@ -19,7 +19,6 @@ from trigpoint.geometry.rotation import Array
 from trigpoint.site.config import OdometryNoise
 
 from . import odometry_kernels
-from .increment import Increment, in_plane, increment, planar_increment
 from .motion import STILL, Motion, both, composed, moved
 from .rest import Rest
 
@@ -81,7 +80,7 @@ class OdometryTrack:
         self._jump_rows: list[int] = []
         self._broken_rows: list[int] = []  # those that odometry itself does not show
         self._gaps = np.zeros(1024)  # path that may have been driven unseen up to the row, metres
-        self._rest = Rest()
+        self._rest = Rest(planar=planar)
         self.reported = Pose.identity()
         """The last reading as the robot gave it."""
         self._period_ns = 0  # from the message before the last to the last
@@ -126,43 +125,38 @@ class OdometryTrack:
         if row and stamp_ns <= self.last_ns:
             return Added.STALE
         self._grow()
-        self.reported = in_plane(odom_from_base) if self.planar else odom_from_base
-        pose = self._rest.add(stamp_ns, self.reported)
+        tables = self._rotations, self._translations, self._twists
+        self.reported, is_still, length_m, angle_rad = self._rest.add_to_track(
+            stamp_ns, odom_from_base, row, tables
+        )
         self._stamps[row] = stamp_ns
-        self._rotations[row], self._translations[row] = pose.rotation, pose.translation
         self._count = row + 1
-        return self._add_step(row, stamp_ns, pose) if row else Added.TAKEN
-
-    def _add_step(self, row: int, stamp_ns: int, after: Pose) -> Added:
-        """Add the step that ends at a row."""
-        before = Pose(self._rotations[row - 1], self._translations[row - 1])
-        step = (planar_increment if self.planar else increment)(before, after)
+        if not row:
+            return Added.TAKEN
         period_ns = stamp_ns - self._stamps.item(row - 1)
-        added = Added.JUMP if self._is_jump(row, step, period_ns / NANOSECONDS) else Added.TAKEN
-        if added is Added.JUMP:
+        is_jump = self._is_jump(row, length_m, angle_rad, period_ns / NANOSECONDS)
+        if is_jump:
+            self._twists[row] = 0.0
             self._jumps[row] = True
             self._jump_rows.append(row)
-        else:
-            self._twists[row] = step.twist
         self._period_ns = period_ns
-        is_there = added is Added.TAKEN and _is_without_motion(step.twist)
-        self._standing = self._standing + 1 if is_there else 0
+        self._standing = self._standing + 1 if is_still and not is_jump else 0
         if self._standing > MOST_STANDING:
             self._merge(row)
-        return added
+        return Added.JUMP if is_jump else Added.TAKEN
 
-    def _is_jump(self, row: int, step: Increment, seconds: float) -> bool:
+    def _is_jump(self, row: int, length_m: float, angle_rad: float, seconds: float) -> bool:
         """Whether the motion in a step is unknown; notes what may have been driven unseen in it."""
         usual = self._period_ns / NANOSECONDS
         if row > 1 and seconds > max(LONGEST_GAP_S, _GAP_PERIODS * usual):
             # If it went on at its speed, the ends are known but not the path between them;
             # if it came much less far, its counters missed some motion or it drove about.
             reach = float(np.linalg.norm(self._twists[row - 1, :3])) / usual * seconds
-            self._gaps[row] = max(reach, step.length_m, _ALLOWANCE)
-            if step.length_m < _GAP_SHARE * reach - _ALLOWANCE:
+            self._gaps[row] = max(reach, length_m, _ALLOWANCE)
+            if length_m < _GAP_SHARE * reach - _ALLOWANCE:
                 return True
-        is_far = step.length_m > MAXIMUM_SPEED * seconds + _ALLOWANCE
-        return is_far or step.angle_rad > MAXIMUM_TURN_RATE * seconds + _ALLOWANCE
+        is_far = length_m > MAXIMUM_SPEED * seconds + _ALLOWANCE
+        return is_far or angle_rad > MAXIMUM_TURN_RATE * seconds + _ALLOWANCE
 
     def _merge(self, row: int) -> None:
         """Merge the last message with the one before it, where the robot stood in both steps."""
@@ -174,7 +168,7 @@ class OdometryTrack:
         """Whether the robot is known not to have moved in the step that ends at a row."""
         if self._jumps[row] or self._gaps[row]:
             return False
-        return _is_without_motion(self._twists[row].tolist())
+        return bool(np.abs(self._twists[row]).max() < STILL)
 
     def forget_before(self, stamp_ns: int) -> None:
         """Drop what lies before the last message at or before a moment."""
@@ -388,7 +382,3 @@ class OdometryTrack:
             *(self._stamps[rows], self._rotations[rows], self._translations[rows]),
             *(self._twists[rows], self._jumps[rows], self._gaps[rows]),
         )
-
-
-def _is_without_motion(twist: Sequence[float]) -> bool:
-    return all(-STILL < part < STILL for part in twist)

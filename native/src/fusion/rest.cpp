@@ -1,0 +1,226 @@
+// A robot's odometry as it comes: without the noise that it shows while the robot stands, and the
+// motion from one message to the next. `rest.py` says how it is told that a robot stands.
+#include <algorithm>
+#include <cmath>
+#include <deque>
+#include <optional>
+#include <stdexcept>
+
+#include "border.hpp"
+#include "fusion/motion.hpp"
+
+using namespace trigpoint;
+
+namespace {
+
+constexpr double SECONDS = 1e-9;
+constexpr std::int64_t RECENT_NS = 2'000'000'000;  // RECENT_S of `rest.py`
+constexpr std::size_t LEAST_READINGS = 16;
+// Of √n steps; a random walk comes further within n steps once in a thousand.
+constexpr double SCATTERS = 3;
+constexpr double DEGREE = 0.017453292519943295;
+// Noise that is larger is none of a robot at rest: m, rad.
+constexpr double MOST_PLACE = 0.01, MOST_TURN = 1 * DEGREE;
+// By how much a gyroscope's heading may creep: ten times the bias of cheap ones (MPU-6050: 30°/h
+// after a start), rad/s. No robot turns as slowly.
+constexpr double BIAS = 0.1 * DEGREE;
+// Over a longer silence than this, and than so many of the intervals before, nothing is noise.
+constexpr std::int64_t GAP_NS = 1'000'000'000, GAP_INTERVALS = 3;
+// A twist without motion, as STILL of `motion.py`.
+constexpr double STILL = 1e-9;
+
+// How far two poses are apart: m, and rad by the chord between their rotations.
+struct Apart {
+    double place = 0, turn = 0;
+
+    Apart() = default;
+    Apart(const Pose& one, const Pose& other)
+        : place((one.translation - other.translation).norm()),
+          turn((one.rotation - other.rotation).norm() / std::sqrt(2.0)) {}
+    bool any() const { return place != 0 || turn != 0; }
+};
+
+// A reported pose, and how far it is from the one before.
+struct Reading {
+    std::int64_t stamp_ns;
+    Pose pose;
+    Apart step;
+};
+
+// The pose projected into the plane: position and heading.
+Pose in_plane(const Pose& pose) {
+    const double forward = pose.rotation(0, 0), left = pose.rotation(1, 0),
+                 length = std::hypot(forward, left);
+    const double cosine = length > 0 ? forward / length : 1, sine = length > 0 ? left / length : 0;
+    Pose flat{Eigen::Matrix3d::Identity(), pose.translation};
+    flat.rotation.topLeftCorner<2, 2>() << cosine, -sine, sine, cosine;
+    flat.translation.z() = 0;
+    return flat;
+}
+
+// One robot's reported poses, in order.
+class Rest {
+public:
+    // Whether the robot stands, and its readings show noise.
+    bool trembles() const { return anchor_ && noise_.any(); }
+
+    // The pose of a reading, in a frame in which noise at rest has not moved the robot; stamps
+    // rise.
+    Pose added(std::int64_t stamp_ns, const Pose& pose) {
+        const Reading reading = read(stamp_ns, pose);
+        if (anchor_ && !has_left(*anchor_, reading)) {
+            recent_.push_back(reading);
+            return held_;
+        }
+        if (anchor_) leave();
+        recent_.push_back(reading);
+        const Pose found = frame_ ? frame_->times(pose) : pose;
+        if (const auto noise = noise_at_rest()) {
+            anchor_ = reading;
+            held_ = found;
+            noise_ = *noise;
+            recent_ = {reading};
+        }
+        return found;
+    }
+
+private:
+    // The reading, after those of the same rest or drive that are recent.
+    Reading read(std::int64_t stamp_ns, const Pose& pose) {
+        if (recent_.empty()) return {stamp_ns, pose, {}};
+        const Reading last = recent_.back();
+        const std::int64_t interval_ns = stamp_ns - last.stamp_ns;
+        if (interval_ns > std::max(GAP_NS, GAP_INTERVALS * interval_ns_)) {
+            if (anchor_) {
+                recent_ = {last};
+                leave();
+            }
+            recent_.clear();
+        }
+        while (recent_.size() > 1 && stamp_ns - recent_.front().stamp_ns > RECENT_NS)
+            recent_.pop_front();
+        interval_ns_ = interval_ns;
+        return {stamp_ns, pose, Apart(pose, last.pose)};
+    }
+
+    bool has_left(const Reading& anchor, const Reading& reading) const {
+        if (!noise_.any()) return reading.step.any();
+        const Reading& first = recent_.front();
+        const double creep =
+            BIAS * SECONDS * static_cast<double>(reading.stamp_ns - first.stamp_ns);
+        return Apart(reading.pose, anchor.pose).place > noise_.place ||
+               Apart(reading.pose, first.pose).turn > noise_.turn + creep;
+    }
+
+    // Goes on from where the robot stood. Whatever led away from there was motion; of the turn,
+    // only what the last readings show: before that it was a gyroscope's creeping.
+    void leave() {
+        if (noise_.any())
+            frame_ = held_.times(
+                Pose{recent_.front().pose.rotation, anchor_->pose.translation}.inverse());
+        anchor_.reset();
+    }
+
+    // How far noise may take a reading, if all recent ones lie so near; else nothing, since the
+    // robot drives, or it cannot be told.
+    std::optional<Apart> noise_at_rest() const {
+        const Reading &first = recent_.front(), &last = recent_.back();
+        const double seconds = SECONDS * static_cast<double>(last.stamp_ns - first.stamp_ns);
+        const Apart span(last.pose, first.pose);
+        if (span.place > MOST_PLACE || span.turn > MOST_TURN + BIAS * seconds) return {};
+        if (recent_.size() < LEAST_READINGS || seconds < SECONDS * RECENT_NS / 2) return {};
+        // The first and the last steps may be those of a drive, and then say nothing of noise.
+        const std::ptrdiff_t quarter = static_cast<std::ptrdiff_t>(recent_.size() / 4);
+        double place = 0, turn = 0;
+        for (auto each = recent_.begin() + quarter; each != recent_.end() - quarter; ++each) {
+            place += each->step.place * each->step.place;
+            turn += each->step.turn * each->step.turn;
+        }
+        Apart noise;
+        noise.place = std::min(SCATTERS * std::sqrt(2 * place), MOST_PLACE);
+        noise.turn = std::min(SCATTERS * std::sqrt(2 * turn), MOST_TURN);
+        const double creep = noise.turn > 0 ? BIAS * seconds : 0;
+        for (const Reading& each : recent_) {
+            const Apart apart(each.pose, first.pose);
+            if (apart.place > noise.place || apart.turn > noise.turn + creep) return {};
+        }
+        return noise;
+    }
+
+    std::deque<Reading> recent_;
+    std::optional<Reading> anchor_;  // where it came to rest, while it stands
+    Pose held_{};
+    Apart noise_;
+    std::optional<Pose> frame_;  // of the robot's odometry, in ours
+    std::int64_t interval_ns_ = 0;
+};
+
+// The motion between two poses as a constant twist, and how far it leads: m, rad.
+struct Step {
+    Vector6d twist;
+    double length, angle;
+};
+
+// In the plane t = V v, V = [a -b; b a], a = sin θ/θ, b = (1 - cos θ)/θ.
+Step planar_step(const Pose& motion) {
+    const double x = motion.translation.x(), y = motion.translation.y(),
+                 turn = std::atan2(motion.rotation(1, 0), motion.rotation(0, 0));
+    const bool is_small = std::abs(turn) <= 1e-4;
+    const double a = is_small ? 1 - turn * turn / 6 : std::sin(turn) / turn,
+                 b = is_small ? turn / 2 : (1 - std::cos(turn)) / turn, square = a * a + b * b;
+    Step step{Vector6d::Zero(), std::hypot(x, y), std::abs(turn)};
+    step.twist << (a * x + b * y) / square, (a * y - b * x) / square, 0, 0, 0, turn;
+    return step;
+}
+
+Step spatial_step(const Pose& motion) {
+    const Eigen::Vector3d turn = log(motion.rotation);
+    Step step{Vector6d::Zero(), motion.translation.norm(), turn.norm()};
+    step.twist << left_jacobian(turn).partialPivLu().solve(motion.translation), turn;
+    return step;
+}
+
+// The pose that is given as a rotation and a translation, in the plane where the robot is.
+Pose reported(bool is_planar, const Argument* at) {
+    const Pose pose = pose_at(at[0].array.as<double>(), at[1].array.as<double>(), 0);
+    return is_planar ? in_plane(pose) : pose;
+}
+
+}  // namespace
+
+TRIGPOINT_OBJECT(tp_rest, Rest)
+
+// (the rest, whether the robot is in the plane, stamp, pose as rotation (3, 3) and translation
+// (3,), found pose as these): whether the robot trembles.
+TRIGPOINT_KERNEL(tp_rest_added) {
+    Rest& rest = *static_cast<Rest*>(arguments[0].object);
+    const Pose pose = reported(arguments[1].whole, arguments + 3);
+    const Pose found = rest.added(arguments[2].whole, pose);
+    put_pose(found, arguments[5].array.as<double>(), arguments[6].array.as<double>(), 0);
+    return rest.trembles();
+}
+
+// (the rest, whether the robot is in the plane, stamp, pose as rotation (3, 3) and translation
+// (3,), reported pose as these, row, rotations (n, 3, 3), translations (n, 3) and twists (n, 6) of
+// a track, length and angle (2,)): sets a row of the track, with the motion from the row before;
+// whether there was none.
+TRIGPOINT_KERNEL(tp_odometry_added) {
+    Rest& rest = *static_cast<Rest*>(arguments[0].object);
+    const std::int64_t row = arguments[7].whole;
+    const Array &rotations = arguments[8].array, &translations = arguments[9].array;
+    if (row < 0 || row >= rotations.shape[0]) throw std::out_of_range("a row beyond the track");
+    const Pose said = reported(arguments[1].whole, arguments + 3);
+    put_pose(said, arguments[5].array.as<double>(), arguments[6].array.as<double>(), 0);
+    const Pose pose = rest.added(arguments[2].whole, said);
+    put_pose(pose, rotations.as<double>(), translations.as<double>(), row);
+    double* measures = arguments[11].array.as<double>();
+    measures[0] = measures[1] = 0;
+    if (row == 0) return 1;
+    const Pose motion =
+        pose_at(rotations.as<double>(), translations.as<double>(), row - 1).inverse().times(pose);
+    const Step step = arguments[1].whole ? planar_step(motion) : spatial_step(motion);
+    Eigen::Map<Vector6d>(arguments[10].array.as<double>() + 6 * row) = step.twist;
+    measures[0] = step.length;
+    measures[1] = step.angle;
+    return (step.twist.array().abs() < STILL).all();
+}
