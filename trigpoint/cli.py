@@ -8,10 +8,9 @@ import sys
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from types import FrameType
-from typing import Annotated, NoReturn
+from typing import Annotated, NamedTuple, NoReturn
 
 import typer
-from msgspec import Struct
 
 from trigpoint.base.ending import ENDING
 from trigpoint.base.errors import MissingExtraError, TrigpointError
@@ -25,7 +24,7 @@ _LOG_LEVEL = "--log-level"
 _COMPLETE = f"_{PROGRAM.upper()}_COMPLETE"
 
 
-class Command(Struct, frozen=True):
+class Command(NamedTuple):
     """One row. `place`: «module:function»; `extra`: the extra that it needs; a `service` runs until
     it is told to stop, so that a stop counts as success."""
 

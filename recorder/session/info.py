@@ -3,8 +3,7 @@
 import json
 from collections import Counter
 
-from msgspec import Struct, field
-from msgspec.structs import asdict
+from msgspec import Struct, field, to_builtins
 
 from trigpoint.base.clock import to_seconds
 from trigpoint.recorder.mcap.channels import attached_to
@@ -75,7 +74,7 @@ def session_info(recording: Recording) -> SessionInfo:
 
 
 def info_json(info: SessionInfo) -> str:
-    return json.dumps(asdict(info), indent=1)
+    return json.dumps(to_builtins(info), indent=1)
 
 
 def info_lines(info: SessionInfo) -> list[str]:

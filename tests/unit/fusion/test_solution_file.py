@@ -1,12 +1,13 @@
 """Corrections after a restart: from the last solution at once, and as true as before it."""
 
 import logging
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from support.fusion.drives import EPOCH_NS, Session
 from support.fusion.networks import assert_same_places
 from support.fusion.solvers import SlowSolver
