@@ -41,9 +41,13 @@ PLACE = """([layer, name]) => {
 def opened(browser: Browser, address: str, **settings: object) -> tuple[Page, list[str]]:
     """A page that shows robots, and what its console has said."""
     page, said = opened_page(browser, address, **settings)
+    wait_until_drawn(page)
+    return page, said
+
+
+def wait_until_drawn(page: Page) -> None:
     page.wait_for_selector('#robots [data-id="robot/r3"]')
     page.wait_for_selector('#cameras [data-id="camera/c9"].located')
-    return page, said
 
 
 @pytest.fixture
@@ -82,6 +86,7 @@ class published:  # noqa: N801 - reads as a word of the `with` line
 
 def assert_places(page: Page) -> None:
     """Marks are where the truth is, point as it does, and lie within the map on the screen."""
+    wait_until_drawn(page)
     box = page.locator("#map").bounding_box()
     assert box is not None
     for index in range(TRUTH.robots):
