@@ -44,7 +44,8 @@ class Rest(Handle):
         reported, measures = Pose(np.empty((3, 3)), np.empty(3)), np.empty(2)
         given = self, self.planar, stamp_ns, *_parts(pose), *_parts(reported)
         is_still = bool(_ADDED_TO_TRACK(*given, row, *tables, measures))
-        return reported, is_still, *measures.tolist()
+        length_m, angle_rad = measures.tolist()
+        return reported, is_still, length_m, angle_rad
 
 
 _REAL = np.float64
