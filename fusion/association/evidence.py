@@ -37,24 +37,16 @@ def alternatives_of(places: Iterable[Place]) -> tuple[Alternative, ...]:
         return ()
     weights = np.exp(-0.5 * (np.array([p.score for p in ordered]) - ordered[0].score))
     weights /= weights.sum()
-    leaders: list[Place] = []
-    masses: list[float] = []
-    spreads: list[Array] = []
-    for place, weight in zip(ordered, weights.tolist(), strict=True):
-        for order, leader in enumerate(leaders):
-            if is_same_place(leader, place):
-                apart = place.map_from_camera.difference(leader.map_from_camera)
-                masses[order] += weight
-                spreads[order] += weight * np.outer(apart, apart)
-                break
-        else:
-            leaders.append(place)
-            masses.append(weight)
-            spreads.append(np.zeros((6, 6)))
-    found = [
-        Alternative(leader.map_from_camera, leader.covariance, mass, spread / mass)
-        for leader, mass, spread in zip(leaders, masses, spreads, strict=True)
-    ]
+    poses, left = Pose.stack([place.map_from_camera for place in ordered]), np.arange(len(ordered))
+    found = list[Alternative]()
+    while len(left):
+        leader = ordered[left[0]]
+        apart = poses[left].difference(leader.map_from_camera)
+        is_same = are_same_place(apart, leader.covariance)
+        mine, apart = weights[left[is_same]], apart[is_same]
+        mass, spread = float(mine.sum()), (mine * apart.T) @ apart
+        found.append(Alternative(leader.map_from_camera, leader.covariance, mass, spread / mass))
+        left = left[~is_same]
     found.sort(key=lambda alternative: -alternative.probability)
     rest = 1.0
     for count, alternative in enumerate(found, start=1):
@@ -64,10 +56,9 @@ def alternatives_of(places: Iterable[Place]) -> tuple[Alternative, ...]:
     return tuple(found)
 
 
-def is_same_place(first: Place, second: Place) -> bool:
-    """Whether two explanations put a camera at one place; `first`: the likelier one."""
-    apart = np.abs(second.map_from_camera.difference(first.map_from_camera))
-    if np.all(apart < np.repeat([_SAME_M, _SAME_RAD], 3)):
-        return True
-    sigma = np.sqrt(np.diagonal(first.covariance))
-    return bool(np.all(apart < _SAME_SIGMAS * sigma + 1e-4))
+def are_same_place(apart: Array, covariance: Array) -> np.ndarray:
+    """Which explanations put a camera where the likeliest of them does, (n,): by their differences
+    (n, 6) from that one, whose covariance is (6, 6)."""
+    apart = np.abs(apart)
+    is_near = np.all(apart < np.repeat([_SAME_M, _SAME_RAD], 3), axis=1)
+    return is_near | np.all(apart < _SAME_SIGMAS * np.sqrt(np.diagonal(covariance)) + 1e-4, axis=1)

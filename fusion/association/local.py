@@ -149,8 +149,9 @@ class LocalProblem:
             return None
         rows = system.dense_row + unknowns_of(problem, self.camera)
         covariance = system.covariance[np.ix_(rows, rows)]
-        information = np.linalg.inv(covariance)
-        score = system.cost + system.log_determinant - float(np.linalg.slogdet(information)[1])
+        information = symmetric(np.linalg.inv(covariance))
+        determinant = float(np.linalg.slogdet(information)[1])
+        score = system.cost + system.log_determinant - determinant
         own, others = log_priors(problem, self.camera, self.robot)
         score += self._odometry_score(assembled) + self._left_out_score(trial) - others
         chosen = zip(self._pictures.views, trial.chosen.tolist(), trial.wrong.tolist(), strict=True)
@@ -158,9 +159,9 @@ class LocalProblem:
         wild = self._pictures.split(trial.wild.copy())
         return Mode(
             state.cameras[self.camera],
-            symmetric(information),
-            own,
+            information,
             score,
+            score + determinant - own,
             self._by_index(readings),
             self._by_index(wild),
             {index: trial.poses[row] for row, index in enumerate(self.observations)},

@@ -18,8 +18,8 @@ class Mode(Struct, frozen=True):
     `map_from_camera`: in the frame in which odometry puts the robot (the robot's pose in the first
     picture is exactly odometry's at that picture's stamp); `camera`: with lens and clock;
     `information`: of the camera's own unknowns, pose (6), then lens and clock where they are
-    estimated, their priors included; `prior`: ln |information| of those priors; `score`: with all
-    other unknowns integrated out; `readings`: by index, None for a wrong sighting; `wild`: by
+    estimated, their priors included; `score`: with all other unknowns integrated out; `evidence`:
+    with the camera's own too; `readings`: by index, None for a wrong sighting; `wild`: by
     index, each view's wild corners; `poses`: by index, where the robot stood; `poses_covariance`
     (m, d, m, d): of these at the m chosen pictures, each `early_s` before its stamp; `scales`: (2,)
     and their covariance, and `faces`: base_from_face of all faces, each where it is estimated.
@@ -27,8 +27,8 @@ class Mode(Struct, frozen=True):
 
     camera: CameraState
     information: Array
-    prior: float
     score: float
+    evidence: float
     readings: dict[int, tuple[Reading | None, ...]]
     wild: dict[int, tuple[np.ndarray, ...]]
     poses: dict[int, Pose]
@@ -40,11 +40,6 @@ class Mode(Struct, frozen=True):
     @property
     def map_from_camera(self) -> Pose:
         return self.camera.map_from_camera
-
-    @property
-    def evidence(self) -> float:
-        """The score with the camera's own unknowns integrated out too."""
-        return self.score + float(np.linalg.slogdet(self.information)[1]) - self.prior
 
     def moved(self, earlier: int, later: int, tangent: list[int]) -> tuple[Pose, Array]:
         """The robot's motion between two chosen pictures, and its covariance (d, d) in the free

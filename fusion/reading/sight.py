@@ -7,7 +7,7 @@ faces (`tools/simulation`); walls are not known. Which face it is, is taken as k
 odometry tells that apart. The core looks (`sight.cpp`).
 """
 
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from msgspec import Struct
@@ -44,7 +44,7 @@ DETECTED = Rules(0.26, 7.0, 5.0)
 """By which the detector finds a face: 75° from the normal."""
 
 
-class Eye(Struct, frozen=True, eq=False, dict=True):
+class Eye(Struct, frozen=True, eq=False):
     """A located camera; `sigma_px`: of a corner's coordinate in its pictures."""
 
     name: str
@@ -52,31 +52,9 @@ class Eye(Struct, frozen=True, eq=False, dict=True):
     lens: CameraModel
     sigma_px: float
 
-    @cached_property
-    def widest_rad(self) -> float:
-        """The angle between the optical axis and the picture's farthest edge."""
-        right, bottom = self.lens.width - 0.5, self.lens.height - 0.5
-        ends = [[-0.5, -0.5], [right, -0.5], [right, bottom], [-0.5, bottom]]
-        angles = np.arctan(np.linalg.norm(self.lens.directions(ends), axis=-1))
-        # Where the lens cannot be inverted (a fisheye's edge), half of all directions.
-        return float(angles.max()) if np.all(np.isfinite(angles)) else np.pi / 2
-
-    @cached_property
-    def scale_px(self) -> float:
-        """How large a metre across the line of sight, at a metre's distance, is in the picture at
-        most, pixels."""
-        u, v = (
-            np.linspace(0, side - 1.0, _SAMPLES) for side in (self.lens.width, self.lens.height)
-        )
-        ways = self.lens.directions(np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2))
-        ways = ways[np.all(np.isfinite(ways), axis=1)]
-        rays = np.column_stack([ways, np.ones(len(ways))])
-        _, by_point = self.lens.project_by_point(rays / np.linalg.norm(rays, axis=1)[:, None])
-        return float(np.linalg.svd(by_point, compute_uv=False).max())
-
     def reach_m(self, square_m: float) -> float:
         """From farther away no square of this size is large enough."""
-        return self.scale_px * square_m / DETECTED.least_side_px
+        return _scale_px(self.lens) * square_m / DETECTED.least_side_px
 
     def may_see(self, faces: "Faces", places: Array) -> np.ndarray:
         """False where a robot at places (n, 2) shows it nothing, whatever its heading; (n,)."""
@@ -87,7 +65,7 @@ class Eye(Struct, frozen=True, eq=False, dict=True):
         off_axis = np.arccos(np.clip(offset[:, 2] / distance, -1, 1))
         within = np.arcsin(np.minimum(reach / distance, 1.0))
         is_near = distance - reach <= self.reach_m(square)
-        return is_near & ((distance <= reach) | (off_axis - within < self.widest_rad))
+        return is_near & ((distance <= reach) | (off_axis - within < _widest_rad(self.lens)))
 
 
 class Faces(Struct, frozen=True, eq=False, dict=True):
@@ -159,7 +137,7 @@ def _look(
 ) -> np.ndarray:
     corners = faces.tables[2]
     seen = np.empty((len(map_from_base), *corners.shape[:2]), dtype=bool)
-    bounds = rules.least_cosine, rules.least_side_px, eye.widest_rad, eye.scale_px
+    bounds = rules.least_cosine, rules.least_side_px, _widest_rad(eye.lens), _scale_px(eye.lens)
     _SIGHT(
         *(eye.lens.parameters, eye.lens.limits(rules.margin_px), np.array(bounds)),
         *(np.ascontiguousarray(eye.map_from_camera.rotation), eye.map_from_camera.translation),
@@ -168,6 +146,28 @@ def _look(
         *(*faces.tables, seen, information),
     )
     return seen
+
+
+@lru_cache
+def _widest_rad(lens: CameraModel) -> float:
+    """The angle between the optical axis and the picture's farthest edge."""
+    right, bottom = lens.width - 0.5, lens.height - 0.5
+    ends = [[-0.5, -0.5], [right, -0.5], [right, bottom], [-0.5, bottom]]
+    angles = np.arctan(np.linalg.norm(lens.directions(ends), axis=-1))
+    # Where the lens cannot be inverted (a fisheye's edge), half of all directions.
+    return float(angles.max()) if np.all(np.isfinite(angles)) else np.pi / 2
+
+
+@lru_cache
+def _scale_px(lens: CameraModel) -> float:
+    """How large a metre across the line of sight, at a metre's distance, is in the picture at most,
+    pixels."""
+    u, v = (np.linspace(0, side - 1.0, _SAMPLES) for side in (lens.width, lens.height))
+    ways = lens.directions(np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2))
+    ways = ways[np.all(np.isfinite(ways), axis=1)]
+    rays = np.column_stack([ways, np.ones(len(ways))])
+    _, by_point = lens.project_by_point(rays / np.linalg.norm(rays, axis=1)[:, None])
+    return float(np.linalg.svd(by_point, compute_uv=False).max())
 
 
 def _padded(parts: list[Array]) -> tuple[Array, np.ndarray]:

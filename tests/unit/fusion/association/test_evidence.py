@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from trigpoint.fusion.association.events import EVIDENCE, window
-from trigpoint.fusion.association.evidence import Place, alternatives_of, is_same_place
+from trigpoint.fusion.association.evidence import Place, alternatives_of, are_same_place
 from trigpoint.geometry import Pose
 
 COVARIANCE = np.diag([1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4])
@@ -35,8 +35,8 @@ def test_explanations_that_agree_on_the_place_are_one() -> None:
 
 
 def test_same_place_goes_by_sigmas_in_each_direction() -> None:
-    assert is_same_place(place(0, 0), place(0.049, 0))
-    assert not is_same_place(place(0, 0), place(0.051, 0))
+    apart = np.array([[x, 0, 0, 0, 0, 0] for x in (0.049, -0.049, 0.051)])
+    assert are_same_place(apart, COVARIANCE).tolist() == [True, True, False]
 
 
 def test_place_that_is_hardly_known_is_no_excuse_for_one_that_is_well_known() -> None:
