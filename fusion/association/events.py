@@ -11,8 +11,8 @@ import math
 import numpy as np
 from msgspec import Struct, field
 
+from trigpoint.geometry.chi_square import chi2_limit
 from trigpoint.geometry.rotation import Array
-from trigpoint.geometry.statistics import chi2_limit
 from trigpoint.site.config import PriorConfig
 
 # The share of the posterior that all explanations that put a camera elsewhere may hold together.

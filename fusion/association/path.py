@@ -17,8 +17,8 @@ from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.odometry import PLANAR, SPATIAL
 from trigpoint.fusion.model.trajectory import odometry_poses
 from trigpoint.geometry import Pose
+from trigpoint.geometry.chi_square import chi2_limit
 from trigpoint.geometry.rotation import Array
-from trigpoint.geometry.statistics import chi2_limit
 from trigpoint.geometry.uncertainty import lever, relative_jacobians, turned_axes
 
 from .events import EVIDENCE

@@ -13,8 +13,8 @@ from msgspec.structs import replace
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.model.odometry import PARTS, OdometryTrack
+from trigpoint.geometry.chi_square import chi2_limit
 from trigpoint.geometry.rotation import Array
-from trigpoint.geometry.statistics import chi2_limit
 from trigpoint.site.config import OdometryNoise
 
 from .events import EVIDENCE, Events

@@ -16,8 +16,8 @@ from trigpoint.fusion.model.problem import CameraState
 from trigpoint.fusion.reading.alignment import PosePrior, align, placements
 from trigpoint.fusion.solver.filter import Filter, RobotEstimate
 from trigpoint.geometry import Pose
+from trigpoint.geometry.chi_square import chi2_limit
 from trigpoint.geometry.rotation import Array
-from trigpoint.geometry.statistics import chi2_limit
 
 # Two hypotheses whose poses differ by more are two places: as often as good sightings are gated.
 _ELSEWHERE = 1e-5

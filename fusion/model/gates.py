@@ -5,7 +5,7 @@ To change what is rejected, or how certain a choice must be, change a probabilit
 
 import math
 
-from trigpoint.geometry.statistics import chi2_tail
+from trigpoint.geometry.chi_square import chi2_tail
 
 # Of two explanations (readings, poses, robots) one is chosen only where the likelihood of the
 # other, relative to it, is below this.

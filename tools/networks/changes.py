@@ -15,8 +15,8 @@ from msgspec import Struct
 from trigpoint.base.errors import InputError
 from trigpoint.base.terminal import table
 from trigpoint.geometry import Pose
+from trigpoint.geometry.chi_square import chi2_limit, chi2_tail
 from trigpoint.geometry.rotation import Array, exp
-from trigpoint.geometry.statistics import chi2_limit, chi2_tail
 from trigpoint.geometry.uncertainty import lever, turned_axes
 from trigpoint.map.network import Network
 

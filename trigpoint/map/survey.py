@@ -15,8 +15,8 @@ from msgspec import Struct
 
 from trigpoint.base.errors import InputError
 from trigpoint.geometry import Pose
+from trigpoint.geometry.chi_square import chi2_limit, chi2_tail
 from trigpoint.geometry.rotation import Array, about_z, hat
-from trigpoint.geometry.statistics import chi2_limit, chi2_tail
 
 _CHANCE = 1e-3
 """That in a survey without a mistake any point is called an outlier."""

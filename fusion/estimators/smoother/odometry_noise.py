@@ -25,8 +25,8 @@ from trigpoint.fusion.model.prediction import batch_jacobian, odometry_terms
 from trigpoint.fusion.model.problem import Batch, Problem, State
 from trigpoint.fusion.solver.quasi_newton import least
 from trigpoint.geometry import Pose
+from trigpoint.geometry.chi_square import chi2_limit
 from trigpoint.geometry.rotation import Array
-from trigpoint.geometry.statistics import chi2_limit
 from trigpoint.site.config import OdometryNoise
 
 # Drifts that go on for seconds add up over such a window; of longer ones there would be few.

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from trigpoint.fusion.model.gates import DECISIVE, is_noise, length_gate
-from trigpoint.geometry.statistics import chi2_limit
+from trigpoint.geometry.chi_square import chi2_limit
 
 
 @pytest.mark.parametrize("freedom", [1, 3, 6, 96])

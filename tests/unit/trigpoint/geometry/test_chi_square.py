@@ -5,7 +5,7 @@ import math
 import pytest
 from scipy.special import chdtrc, chdtri
 
-from trigpoint.geometry.statistics import chi2_limit, chi2_tail
+from trigpoint.geometry.chi_square import chi2_limit, chi2_tail
 
 # Poses in the plane and in space, noise that is learnt, and corners of up to eight large boards.
 FREEDOMS = [*range(1, 201), 351, 352, 1001, 1600]
