@@ -28,6 +28,7 @@ export class SiteMap {
     this.isOwn = false;  // whether a person has chosen the part that is shown
     this.box = { x: -5, y: -5, w: 10, h: 10 };
     document.getElementById("times").textContent = TIMES;
+    this.unit = 0;  // marks have no size before the page is laid out
     this.begin({});
     new ResizeObserver(() => (this.isOwn ? this.place() : this.fit())).observe(svg);
     this.listen();
