@@ -19,7 +19,7 @@ WRONG = [
     (charuco(5, 8), {"columns": 8, "rows": 5}, "write columns = 5 and rows = 8"),
     (charuco(5, 7), {"columns": 7, "rows": 5}, "so it is not used; write columns = 5 and rows = 7"),
     (charuco(6, 5), {"columns": 6, "rows": 4}, "a board with columns = 6, rows = 5 or more, so"),
-    (charuco(3, 4), {"rows": 3}, "compare columns, rows"),
+    (charuco(5, 2), {"columns": 4}, "compare columns, rows"),
     (charuco(9, 6), {"columns": 7, "rows": 5}, "a board with columns = 9, rows = 6 or more, so"),
     (charuco(7, 5), {"columns": 8}, "a board with columns = 7, rows = 5 or more, so"),
     (charuco(7, 5), {"first_marker": 20}, "a board with first_marker = 0, so"),
@@ -45,6 +45,8 @@ WRONG = [
     (aprilgrid(4, 3), {"numbering": Numbering.KALIBR}, 'write numbering = "top-left"'),
     (aprilgrid(4, 3), {"border_bits": 2}, "write border_bits = 1"),
     (checkerboard(10, 7), {"columns": 9, "rows": 6}, "write columns = 10 and rows = 7"),
+    (checkerboard(10, 7), {"columns": 9}, "write columns = 10 and rows = 7"),
+    (checkerboard(9, 7), {"rows": 6}, "write columns = 9 and rows = 7"),
     (checkerboard(7, 9), {"columns": 6, "rows": 8}, "write columns = 7 and rows = 9"),
 ]
 
