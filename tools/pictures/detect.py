@@ -145,7 +145,7 @@ def _opened(
     elif is_bag(path):
         from .bag import bag_pictures  # the readers of bags take half a second to import
 
-        yield from bag_pictures(path, topics, account.leave_out)
+        yield from bag_pictures(path, topics, account)
     elif files := _picture_files(path):
         for file in files:
             try:
