@@ -1,6 +1,5 @@
 """Reads a bag's pictures, compressed or raw, as grey."""
 
-import re
 from collections.abc import Collection, Iterator
 from pathlib import Path
 
@@ -9,7 +8,7 @@ import numpy as np
 
 from trigpoint.base.clock import to_seconds
 from trigpoint.base.errors import InputError, MessageError
-from trigpoint.base.words import counted
+from trigpoint.base.words import counted, numberless
 from trigpoint.contract.messages import Picture
 from trigpoint.edge.sources.picture_files import decoded
 from trigpoint.recorder.session.bag import Bag, RawImage
@@ -73,7 +72,7 @@ def bag_pictures(
     def refuse(topic: str, log_ns: int, reason: MessageError) -> None:
         at_s = f"{to_seconds(log_ns):.3f} s"
         said = InputError(f"{path}: a picture of {topic}, at {at_s}: {reason}")
-        account.leave_out(said, f"{path} {topic} {re.sub('[0-9]+', '', str(reason))}")
+        account.leave_out(said, f"{path} {topic} {numberless(str(reason))}")
 
     for one in bag.messages(list(topics) or _only(path, bag), refuse):
         if not isinstance(one.message, (Picture, RawImage)):
