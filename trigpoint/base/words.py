@@ -19,6 +19,11 @@ def nearest(word: str, known: Iterable[str]) -> str:
     return f"; did you mean «{close[0]}»?" if close else ""
 
 
+def two_decimals(value: float) -> str:
+    """«0.84»; «<0.01» of what is not nothing and would read so."""
+    return "<0.01" if 0 < value < 0.005 else f"{value:.2f}"
+
+
 def numberless(text: str) -> str:
     """A text without its numbers: the same for all that differ in them alone."""
     return re.sub(r"\d+", "#", text)
