@@ -4,6 +4,7 @@ import math
 
 from msgspec import Struct
 
+from trigpoint.base.words import plus_minus
 from trigpoint.contract import topics
 from trigpoint.contract.messages import Message, PoseEstimate, PoseStamped, Transforms
 from trigpoint.contract.topics import Topic
@@ -43,7 +44,7 @@ class CameraAccuracy:
         self.worst_sigma_m = math.nan
 
     def words_after(self, output: Output) -> str:
-        """«c1 ± 0.8 cm, c2 not located», the largest sigma of the three axes; "" where this output
+        """«c1 ±0.8 cm, c2 not located», the largest sigma of the three axes; "" where this output
         is not the one that names all located cameras."""
         message = output.message
         if output.topic is topics.CAMERA_POSE and isinstance(message, PoseEstimate):
@@ -59,4 +60,4 @@ class CameraAccuracy:
     def _of(self, camera: str, *, is_located: bool) -> str:
         if not is_located:
             return f"{camera} not located"
-        return f"{camera} ± {100 * self._sigmas_m[camera]:.1f} cm"
+        return f"{camera} {plus_minus(self._sigmas_m[camera])}"

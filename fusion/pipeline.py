@@ -110,8 +110,12 @@ class Pipeline:
     @property
     def notes(self) -> list[str]:
         """What a user should know of the session, as text: each event (at most the last hundred),
-        the last problem with messages for each reason, and what they lacked."""
-        return [*self._events.texts, *self.problems.values(), *self.arrivals.mended]
+        the last problem with messages for each reason, what they lacked, and what is in doubt."""
+        arrivals = self.arrivals
+        return [
+            *(*self._events.texts, *self.problems.values()),
+            *(*arrivals.mended, *arrivals.doubts),
+        ]
 
     @property
     def stale_ns(self) -> dict[str, int]:

@@ -6,6 +6,7 @@ import math
 from typing import Protocol
 
 from trigpoint.base.clock import to_ns, to_seconds
+from trigpoint.base.words import plus_minus
 from trigpoint.node.health import Health
 
 from .bridge import Bridge
@@ -118,7 +119,7 @@ class CorrectionWatch:
             sigma_m = math.sqrt(max(covariance[0, 0], covariance[1, 1]))
             words = (
                 f"x {x:.2f} m, y {y:.2f} m, heading {math.degrees(pose.heading):.0f}°, "
-                f"± {100 * sigma_m:.1f} cm, ± {math.degrees(math.sqrt(covariance[5, 5])):.1f}°; "
+                f"{plus_minus(sigma_m)}, ±{math.degrees(math.sqrt(covariance[5, 5])):.1f}°; "
                 f"corrected {to_seconds(age_ns):.0f} s ago"
             )
         self._node.health.describe("place", words)

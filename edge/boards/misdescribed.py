@@ -56,6 +56,13 @@ def unexpected(looks: Sequence[Appearance]) -> dict[Appearance, tuple[Appearance
     known |= {turned(look.face).appearance for look in looks}
     meant = [(other, look, remedy(look)) for look in looks if (other := other_colours(look))]
     meant += [(one_more(look), look, more_remedy(look)) for look in looks]
+    # Whoever miscounts leaves a row out; a board that seems one smaller may be half hidden.
+    meant += [
+        (larger(look, *more), look, counted_remedy(look, *more))
+        for look in looks
+        for more in ((1, 0), (0, 1))
+        if look.face.columns + more[0] != look.face.rows + more[1]  # which no board may have
+    ]
     return {
         other: (look, line) for other, look, line in meant if other.face.appearance not in known
     }
@@ -63,7 +70,13 @@ def unexpected(looks: Sequence[Appearance]) -> dict[Appearance, tuple[Appearance
 
 def one_more(look: Appearance) -> Appearance:
     """A look of the board that has as many inner corners as the file gives squares."""
-    more = replace(look.face, columns=look.face.columns + 1, rows=look.face.rows + 1)
+    return larger(look, 1, 1)
+
+
+def larger(look: Appearance, columns: int, rows: int) -> Appearance:
+    """A look of a board with so many more columns and rows."""
+    face = look.face
+    more = replace(face, columns=face.columns + columns, rows=face.rows + rows)
     return Appearance(more, look.target, look.face_id)
 
 
@@ -73,4 +86,15 @@ def more_remedy(look: Appearance) -> str:
     return (
         f"{look.words}: these pictures show {columns} × {rows} inner corners, but the target file "
         f"counts squares, so it is not used; write columns = {columns + 1} and rows = {rows + 1}"
+    )
+
+
+def counted_remedy(look: Appearance, more_columns: int, more_rows: int) -> str:
+    """What to write for a board of which a column or row was not counted, in one line."""
+    face = look.face
+    columns, rows = face.columns + more_columns, face.rows + more_rows
+    return (
+        f"{look.words}: these pictures show {columns} × {rows} squares, but the target file has "
+        f"{face.columns} × {face.rows}, so it is not used; write columns = {columns} and "
+        f"rows = {rows}"
     )

@@ -30,7 +30,7 @@ _MOST_FOREIGN = 1
 
 class Contradictions(Struct, frozen=True):
     """`agreeing`: markers where the file has them; `elsewhere`: the file's dictionary's at other
-    places; `foreign`: what is like a marker where the file has one, and is not it."""
+    places; `foreign`: what is like a marker on the board, and is not the one that the file has."""
 
     agreeing: int
     elsewhere: int
@@ -48,7 +48,7 @@ def contradictions(
 ) -> Contradictions:
     """What dark quadrilaterals (n, 4, 2) on a board's grid say about its description; `reader`:
     of every marker of its dictionary."""
-    cells, expected = _cells(board)
+    cells, expected, within = _cells(board)
     corners = board.pattern.points[found.corners]
     middles = cells.mean(axis=1)
     apart = np.abs(middles[:, None] - corners[None]).max(axis=-1).min(axis=1)
@@ -65,15 +65,18 @@ def contradictions(
     # A place is seen as several quadrilaterals: what agrees there settles it.
     settled = np.isin(which, which[agrees])
     elsewhere = ~settled & (scores.max(axis=1) > _SURELY)
-    # Where not one of its markers is surely read, what is not probably its own is none of it.
-    least = _HARDLY if np.any(own > _SURELY) else _PROBABLY
-    foreign = ~settled & ~elsewhere & (numbers >= 0) & (own < least) & scores.any(axis=1)
+    # Where not one of its markers is surely read, what is not probably its own is none of it, and
+    # what is like a marker beyond its edge is of a board that goes on.
+    is_sure = bool(np.any(own > _SURELY))
+    is_other = (own < _HARDLY) & within[near][which] if is_sure else own < _PROBABLY
+    foreign = ~settled & ~elsewhere & is_other & scores.any(axis=1)
     return Contradictions(*(len(set(which[is_so])) for is_so in (agrees, elsewhere, foreign)))
 
 
-def _cells(board: MarkedBoard) -> tuple[Array, np.ndarray]:
+def _cells(board: MarkedBoard) -> tuple[Array, np.ndarray, np.ndarray]:
     """Where markers could be on a board's grid and one place beyond, (n, 4, 2), clockwise from
-    their top left, and the number of the file's marker there, -1 where it has none."""
+    their top left; the number of the file's marker there, -1 where it has none; and whether that
+    is on the board."""
     face, layout = board.face, board.layout
     steps = np.rint((layout.mean(axis=1) - layout[0].mean(axis=0)) / face.square).astype(int)
     # Around all squares of a ChArUco board, of which every other one has a marker.
@@ -84,7 +87,10 @@ def _cells(board: MarkedBoard) -> tuple[Array, np.ndarray]:
     places = np.stack([x, y], axis=-1).reshape(-1, 2)
     numbers = {tuple(step): number for number, step in enumerate(steps.tolist())}
     expected = np.array([numbers.get((a, b), -1) for a, b in places.tolist()])
-    return layout[0] + (places * face.square)[:, None], expected
+    middle = layout[0].mean(axis=0) + places * face.square
+    low, high = face.outline.min(axis=0)[:2], face.outline.max(axis=0)[:2]
+    within = np.all((middle > low) & (middle < high), axis=1)
+    return layout[0] + (places * face.square)[:, None], expected, within
 
 
 def _at(placed: Array, quads: Array) -> tuple[np.ndarray, Array]:

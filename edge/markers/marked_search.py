@@ -12,6 +12,7 @@ from trigpoint.edge.registration.finder import FaceFinder
 from trigpoint.edge.registration.measurement import Located, Measured
 from trigpoint.edge.registration.planar_fit import PlanarFit
 from trigpoint.geometry.rotation import Array
+from trigpoint.site.target import Pattern
 
 from .contradictions import contradictions
 from .corner_squares import refined
@@ -38,7 +39,9 @@ class MarkedSearch(FaceFinder):
         self._whole = {key: whole_reader(*key) for key in self._readers}
         self._finder = QuadFinder(parts_touching=parts_touching)
         looks = tuple(dict.fromkeys(board.look for board in boards))
-        self._wrong = MisdescribedBoards(looks, self._finder)
+        # A grid that is described without the squares between its tags may have them.
+        has_tags = any(look.face.pattern is Pattern.APRILGRID for look in looks)
+        self._wrong = MisdescribedBoards(looks, parts_touching=parts_touching or has_tags)
         self._denied = set[Appearance]()
         self._compared: dict[Appearance, set[int]] = {}
 
@@ -54,9 +57,11 @@ class MarkedSearch(FaceFinder):
             if boards and not is_over():
                 shown = cv2.bitwise_not(grey) if inverted else grey
                 found += self._search(shown, boards, is_over, within)
+        for board in found:
+            self._wrong.confirm(board.look)
         if self._denied or not (found or within or is_over()):
             self._wrong.look(grey, self._denied, has_time=is_over is never)
-            self.misdescribed = tuple(self._wrong.lines.values())
+        self.misdescribed = tuple(self._wrong.lines.values())
         return [board for board in found if board.look not in self._wrong.refused]
 
     def follow(

@@ -72,9 +72,9 @@ def group_markers(markers: Markers, layout: Array, is_over: IsOver = never) -> l
 def _has_company(seeds: int, markers: Markers, layout: Array) -> np.ndarray:
     """Whether any other marker lies where each of the first `seeds` has it, (seeds,) bool."""
     own = layout[markers.numbers[:seeds]]
-    side = np.linalg.norm(layout[0, 1] - layout[0, 0])
-    # Markers are printed square, along the face's axes: others in this one's units, its corner 0.
-    places = (layout[markers.numbers][None] - own[:, None, None, 0]) / side
+    # Markers are printed square and all one way up: others in this one's axes, from its corner 0.
+    axes = np.stack([layout[0, 1] - layout[0, 0], layout[0, 3] - layout[0, 0]], axis=-1)
+    places = (layout[markers.numbers][None] - own[:, None, None, 0]) @ np.linalg.inv(axes).T
     expected = mapped(square_to_quads(markers.corners[:seeds]), places.reshape(seeds, -1, 2))
     expected = expected.reshape(seeds, -1, 4, 2)
     off = np.linalg.norm(markers.corners - expected, axis=-1).mean(axis=-1)

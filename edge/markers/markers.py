@@ -41,7 +41,13 @@ class Markers(Struct, frozen=True):
 
     def first(self, count: int) -> "Markers":
         """The first so many, which are the likeliest."""
-        kept = slice(count)
+        return self._only(slice(count))
+
+    def each_once(self) -> "Markers":
+        """Each number once, where it is likeliest."""
+        return self._only(np.unique(self.numbers, return_index=True)[1])
+
+    def _only(self, kept: slice | np.ndarray) -> "Markers":
         return Markers(self.numbers[kept], self.corners[kept], self.scores[kept], self.quads[kept])
 
 
@@ -69,7 +75,8 @@ class MarkerReader:
 
         In turn k the marker's top left is the quad's corner k.
         """
-        return (self._cells(grey, quads, slice(None)) @ self._templates).reshape(len(quads), -1, 4)
+        scores = self._cells(grey, quads, slice(None)) @ self._templates
+        return scores.reshape(len(quads), len(self._row), 4)
 
     def codes(self, grey: np.ndarray, quads: Array) -> Array:
         """Correlation (n, markers) of upright quads (n, 4, 2) with what is within each marker's
@@ -88,7 +95,13 @@ class MarkerReader:
 
     def best(self, face: Face, scores: Array, quads: Array, least: float) -> Markers:
         """The face's likeliest marker for each quad, where it scores at least `least`."""
-        own = scores[:, self.rows(face)].reshape(len(quads), -1)
+        return self.likeliest(scores[:, self.rows(face)], quads, least)
+
+    @staticmethod
+    def likeliest(scores: Array, quads: Array, least: float) -> Markers:
+        """The likeliest marker for each quad by its scores (n, markers, 4), if it scores at least
+        `least`."""
+        own = scores.reshape(len(quads), 4 * scores.shape[1])
         best = np.argmax(own, axis=1)
         score = own[np.arange(len(quads)), best]
         kept = np.flatnonzero(score >= least)

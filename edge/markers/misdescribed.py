@@ -3,11 +3,15 @@
 Only markers decide: those that are surely read and agree on one place of a board. Of a small
 dictionary some are read in anything, so they must be more than chance gives, most of what is in
 view, and more than the file itself explains. Nothing is guessed: such a board stays not found.
+
+What people get wrong comes together, as where a file is of another board altogether: every reading
+of the markers (dictionary, border, negative, mirror image) is tried with every way to lay them out.
 """
 
 from collections.abc import Sequence
 from functools import cache
 from math import comb, log
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -15,20 +19,22 @@ from msgspec import Struct
 
 from trigpoint.edge.registration.appearance import Appearance
 from trigpoint.edge.registration.dictionaries import predefined_dictionary
-from trigpoint.edge.registration.printed_pattern import charuco_layout
 from trigpoint.geometry.rotation import Array
 from trigpoint.site.target import Face, Pattern
 
 from .marker_groups import LEAST_MEMBER, MarkerGroup, group_markers
-from .markers import MarkerReader, reader_key, readers_for
-from .other_boards import Other, others
+from .markers import MarkerReader, Markers, reader_key, readers_for, whole_reader
+from .other_boards import Other, Others, others
+from .other_sizes import OtherSize, layout_of, other_size
 from .quads import QuadFinder
 
 # How well a code must be read: an eighth of its bits may be wrong.
 _READ, _WRONG_SHARE = 0.75, 1 / 8
+# The same of all of its cells, with the border that all markers have.
+_PLAINLY = 0.9
 # Of a thousand sites none may be told of a board that is not there; each has ten pictures of
-# hundreds of quadrilaterals, tried as a dozen boards.
-_LEAST_NATS = log(1_000 * 10 * 300 * 12)
+# hundreds of quadrilaterals, tried as two hundred boards.
+_LEAST_NATS = log(1_000 * 10 * 300 * 200)
 # Of a board's markers in view, how many must be read: more are on the board that it is, where some
 # are hidden, than on one that shares a row with it.
 _LEAST_SHARE = 0.6
@@ -44,12 +50,19 @@ class MisdescribedBoards:
     """What pictures show of other boards in place of `looks`. `lines`: what to write, by look;
     `refused`: those that the pictures disprove, which no later picture can mend."""
 
-    def __init__(self, looks: Sequence[Appearance], finder: QuadFinder) -> None:
-        self._finder, self._waiting = finder, list(others(looks))
+    def __init__(self, looks: Sequence[Appearance], *, parts_touching: bool = False) -> None:
+        """`parts_touching`: as of `QuadFinder`; another board than the file's may need it."""
+        alike = list(others(looks))
+        own = {one[0].look: one for one in alike if one[0].reads_as_described}
+        self._waiting: list[_Tried] = [_Own(look, own.get(look, ())) for look in looks]
+        self._waiting += [_Foreign(one) for one in alike if not one[0].reads_as_described]
         faces = [look.face for look in looks]
-        self._readers = readers_for(faces + [other.face for other in self._waiting])
+        faces += [other.face for one in alike for other in one]
+        self._finder = QuadFinder(parts_touching=parts_touching)
+        self._readers = readers_for(faces)
         self._pictures = 0
-        self._named = set[Appearance]()
+        self._named: dict[Appearance, Other | OtherSize] = {}
+        self._confirmed = set[Appearance]()
         self._denials: dict[Appearance, int] = {}
         self.lines: dict[Appearance, str] = {}
         self.refused: set[Appearance] = set()
@@ -63,13 +76,20 @@ class MisdescribedBoards:
             count = self._share(count)
         tried, self._waiting = self._waiting[:count], self._waiting[count:]
         scene = _Scene(grey, self._finder, self._readers)
-        for other in tried:
-            if other.look not in self._named and self._is_seen(other, scene):
-                self.lines[other.look] = other.remedy
-                self._named.add(other.look)  # by the simplest change: others may print the same
-        self._waiting += [other for other in tried if other.look not in self._named]
+        for one in tried:
+            shown = None if one.look in self._named else one.shown(scene)
+            if shown and not (isinstance(shown, OtherSize) and one.look in self._confirmed):
+                self.lines[one.look] = shown.remedy
+                self._named[one.look] = shown
+        self._waiting += [one for one in tried if one.look not in self._named]
         for look in denied:
             self._deny(look)
+
+    def confirm(self, look: Appearance) -> None:
+        """A board that was found as the file has it is of no other size: that one was another's."""
+        self._confirmed.add(look)
+        if isinstance(self._named.get(look), OtherSize):
+            del self._named[look], self.lines[look]
 
     def _share(self, count: int) -> int:
         """How many of so many boards are looked for in this picture."""
@@ -79,18 +99,59 @@ class MisdescribedBoards:
 
     def _deny(self, look: Appearance) -> None:
         self._denials[look] = self._denials.get(look, 0) + 1
-        if look in self._named:
+        if isinstance(self._named.get(look), Other):
             self.refused.add(look)
-        elif self._denials[look] == _OFTEN:
+        elif look not in self._named and self._denials[look] == _OFTEN:
             self.lines[look] = (
                 f"{look.words}: its markers are seen in other places than the target file has, so "
                 "it is not used; compare columns, rows, first_marker and numbering with the print"
             )
 
-    def _is_seen(self, other: Other, scene: "_Scene") -> bool:
-        """Whether markers prove the other board, and more of them than the one described."""
-        read = scene.read(other.face, is_mirrored=other.is_mirrored)
-        return read >= _fewest(other.face) and read > scene.read(other.look.face)
+
+class _Tried(Protocol):
+    """What is looked for at once in place of a look."""
+
+    @property
+    def look(self) -> Appearance: ...
+
+    def shown(self, scene: "_Scene") -> Other | OtherSize | None:
+        """The board that a picture proves, if any."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class _Own:
+    """Boards of the same markers as the file's, in other places: those that people mean before
+    those of any other size."""
+
+    look: Appearance
+    others: Others
+
+    def shown(self, scene: "_Scene") -> Other | OtherSize | None:
+        """The board that has most markers in their places."""
+        known, best = scene.best(self.look, self.others)
+        read = scene.own_markers(self.look.face)
+        size = other_size(self.look, read)
+        if size and not size.is_as_described:
+            count = scene.sure(size, read)
+            if count > known and count >= _fewest(size.face):
+                return size
+        return best
+
+
+@dataclass(frozen=True, slots=True)
+class _Foreign:
+    """Boards of other markers, or seen in another way, that one reading tells apart."""
+
+    others: Others
+
+    @property
+    def look(self) -> Appearance:
+        return self.others[0].look
+
+    def shown(self, scene: "_Scene") -> Other | None:
+        """The board that has most markers in their places."""
+        return scene.best(self.look, self.others)[1]
 
 
 class _Shown(Struct, frozen=True):
@@ -117,18 +178,33 @@ class _Scene:
         shown, key = self._shown(face.inverted, is_mirrored), reader_key(face)
         if len(shown.quads) == 0:
             return 0
-        reader = self._readers[key]
         if key not in shown.scores:
-            shown.scores[key] = reader.scores(shown.grey, shown.quads)
-        markers = reader.best(face, shown.scores[key], shown.quads, LEAST_MEMBER)
-        return max(
-            (
-                _sure(reader, face, shown.grey, group, layout)
-                for layout in _layouts(face)
-                for group in group_markers(markers, layout)
-            ),
-            default=0,
-        )
+            shown.scores[key] = self._readers[key].scores(shown.grey, shown.quads)
+        return _agreeing(self._readers[key], face, shown, shown.scores[key])
+
+    def best(self, look: Appearance, others: Others) -> tuple[int, Other | None]:
+        """How many markers the best of the boards has in their places, the simplest change where
+        they are as many: others may print the same; and which it is, if that is proven."""
+        read = [self.read(other.face, is_mirrored=other.is_mirrored) for other in others]
+        if not read:
+            return 0, None
+        best = others[int(np.argmax(read))]
+        is_proven = max(read) >= _fewest(best.face) and max(read) > self.read(look.face)
+        return max(read), best if is_proven else None
+
+    def own_markers(self, face: Face) -> Markers:
+        """The markers of a face's dictionary that are surely read anywhere, by id, each once."""
+        shown = self._shown(face.inverted, False)
+        reader = whole_reader(*reader_key(face))
+        scores = reader.scores(shown.grey, shown.quads)
+        return reader.likeliest(scores, shown.quads, _PLAINLY).each_once()
+
+    def sure(self, size: OtherSize, read: Markers) -> int:
+        """As `read`, of a board that the markers that were read suggest."""
+        face, corners = size.face, read.corners[size.which]
+        group = MarkerGroup(size.numbers, corners, read.quads[size.which], 0.0)
+        grey, reader = self._shown(face.inverted, False).grey, whole_reader(*reader_key(face))
+        return max(_sure(reader, face, grey, group, layout) for layout in _layouts(face))
 
     def _shown(self, inverted: bool, is_mirrored: bool) -> _Shown:
         key = (inverted, is_mirrored)
@@ -137,6 +213,21 @@ class _Scene:
             grey = cv2.flip(grey, 1) if is_mirrored else grey
             self._known[key] = _Shown(grey, self._finder.find(grey), {})
         return self._known[key]
+
+
+def _agreeing(reader: MarkerReader, face: Face, shown: _Shown, scores: Array) -> int:
+    """How many of a face's markers are surely read and agree on one place of it."""
+    markers = reader.best(face, scores, shown.quads, LEAST_MEMBER)
+    if len(markers) < _fewest(face):
+        return 0
+    return max(
+        (
+            _sure(reader, face, shown.grey, group, layout)
+            for layout in _layouts(face)
+            for group in group_markers(markers, layout)
+        ),
+        default=0,
+    )
 
 
 def _sure(
@@ -156,9 +247,9 @@ def _sure(
 
 def _layouts(face: Face) -> list[Array]:
     """Where a face's markers may be, (m, 4, 2) each: tags also on their heads."""
+    upright = layout_of(face)
     if face.pattern is Pattern.CHARUCO:
-        return [charuco_layout(face)]
-    upright = face.corners[:, :2].reshape(-1, 4, 2)
+        return [upright]
     return [upright, np.roll(upright, 2, axis=1)]
 
 

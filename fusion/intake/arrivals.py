@@ -54,7 +54,8 @@ class Span(Struct, frozen=True):
 
 class Arrivals:
     """All messages of the site's cameras and robots. `tracks`: the robots' odometry; `seen`:
-    camera -> when it saw a target; `unreadable`: camera -> what is wrong with all that it sent."""
+    camera -> when it saw a target; `unreadable`: camera -> what is wrong with all that it sent;
+    `misdescribed`: camera -> what its pictures show in place of the target file's boards."""
 
     def __init__(self, site: Site, tracks: Mapping[str, OdometryTrack]) -> None:
         self._tracks = tracks
@@ -65,6 +66,7 @@ class Arrivals:
         self._mended = Counter[tuple[str, Mended]]()
         self.seen: dict[str, Span] = {}
         self.unreadable: dict[str, str] = {}
+        self.misdescribed: dict[str, str] = {}
 
     def add(self, node: str, message: Message) -> None:
         """Note a message of a camera or robot."""
@@ -79,6 +81,18 @@ class Arrivals:
         """What messages lacked, and what was taken in its place."""
         found = self._mended.items()
         return [f"{node}: {counted(count, 'message')} {lack}" for (node, lack), count in found]
+
+    @property
+    def doubts(self) -> list[str]:
+        """What came and cannot be right, as text."""
+        jumping = [
+            f"robot {name}: {count} of {len(track)} odometry messages lie farther from the one "
+            "before than any robot drives; are its lengths in metres, and its stamps right?"
+            for name, track in self._tracks.items()
+            if (count := track.jump_count) > len(track) / 2
+        ]
+        wrong = self.misdescribed.items()
+        return [*jumping, *(f"{name}: {words}" for name, words in wrong if name in self.seen)]
 
     @property
     def apart(self) -> dict[str, str]:
@@ -99,7 +113,7 @@ class Arrivals:
         reasons = {
             name: f"{_saw(seen)}, none of which could be used" for name, seen in self.seen.items()
         }
-        reasons |= self.apart
+        reasons |= self.apart | self.misdescribed
         reasons |= {
             name: f"nothing of it could be read: {words}" for name, words in self.unreadable.items()
         }
@@ -120,7 +134,9 @@ def _words(seen: Span, robot: str, odometry: Span) -> str:
         for name, span in (("pictures", seen), ("odometry", odometry))
         if span.counts_from_start
     ]
-    if len(by_start) == 1:
+    if odometry.first_ns == odometry.last_ns:
+        why = "all of the odometry has one stamp; have its driver stamp every message anew"
+    elif len(by_start) == 1:
         why = (
             f"the clock of the {by_start[0]} counts from 0, as a simulator's does, or one that was "
             "never set; stamp both by one clock (`use_sim_time` for all nodes or for none)"

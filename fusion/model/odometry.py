@@ -112,6 +112,11 @@ class OdometryTrack:
     def last_ns(self) -> int:
         return self._stamps.item(self._count - 1)
 
+    @property
+    def jump_count(self) -> int:
+        """How many messages odometry itself shows to jump, or to come after a gap."""
+        return int(np.count_nonzero(self._jumps[: self._count])) - len(self._broken_rows)
+
     def covers(self, stamp_ns: int) -> bool:
         """Whether the robot's motion is known at this moment."""
         return self._count > 0 and self.first_ns <= stamp_ns <= self.last_ns

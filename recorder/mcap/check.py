@@ -31,6 +31,7 @@ from trigpoint.base.words import counted
 
 from .file import ChunkSpan, fault_of, read_chunk, stream, take_attachment
 from .file import McapIndex as _Index
+from .index import LONGEST_MAGIC, refuse_others
 from .packed import unpacked
 from .records import HEAD, MAGIC, MESSAGE, MESSAGE_FIELDS
 from .summary import summary_is_sound
@@ -58,8 +59,7 @@ def check(path: Path) -> Verdict:
         data = unpacked(path).read_bytes()
     except OSError as reason:
         raise RecordingError(f"{path}: cannot be read ({reason.strerror}); check it") from None
-    if not data.startswith(MAGIC):
-        raise RecordingError(f"{path}: this is no MCAP file; give a session that was recorded")
+    refuse_others(path, data[:LONGEST_MAGIC])
     return _Checker(path, data).run()
 
 

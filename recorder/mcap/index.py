@@ -17,6 +17,19 @@ from .packed import unpacked
 from .records import MAGIC
 from .summary import read_summary
 
+# What people give in its place, by its first bytes, and what to do.
+_OTHERS = {
+    b"#ROSBAG V": "a ROS 1 bag; name it .bag, and where it was not closed: rosbag reindex",
+    b"SQLite format 3": "a rosbag2's database; name it .db3, or give its folder",
+    b"\x1f\x8b": "packed by gzip; unpack it: gunzip",
+    b"\x28\xb5\x2f\xfd": "packed by zstd; name it .zstd, or unpack it: zstd -d",
+    b"BZh": "packed by bzip2; unpack it: bunzip2",
+    b"PK\x03\x04": "a zip archive; unpack it: unzip",
+    b"\x89PNG": "a picture",
+    b"\xff\xd8\xff": "a picture",
+}
+LONGEST_MAGIC = max(map(len, _OTHERS))
+
 
 def read_index(path: Path) -> McapIndex:
     """The index of a file; raise RecordingError if it is not an MCAP file at all."""
@@ -29,8 +42,17 @@ def read_index(path: Path) -> McapIndex:
 
 
 def _check_magic(path: Path, file: IO[bytes]) -> None:
-    start = file.read(len(MAGIC))
-    if not start:
+    refuse_others(path, file.read(LONGEST_MAGIC))
+    file.seek(len(MAGIC))
+
+
+def refuse_others(path: Path, begin: bytes) -> None:
+    """Raise RecordingError where a file that begins so is no MCAP file, by what it is."""
+    if not begin:
         raise RecordingError(f"{path}: the file is empty; nothing was recorded into it")
-    if start != MAGIC:
-        raise RecordingError(f"{path}: this is no MCAP file; give a session that was recorded")
+    if begin.startswith(MAGIC):
+        return
+    for magic, words in _OTHERS.items():
+        if begin.startswith(magic):
+            raise RecordingError(f"{path}: this is no MCAP file, but {words}")
+    raise RecordingError(f"{path}: this is no MCAP file; give a session that was recorded")

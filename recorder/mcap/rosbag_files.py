@@ -72,9 +72,10 @@ class RosbagFiles:
             raise
         except Exception as reason:  # noqa: BLE001 - rosbags raises whatever a bag leads it to
             told = " ".join(str(reason).split()) or type(reason).__name__
+            is_old = any(file.suffix == ".bag" for file in self._files)
+            way = "mend it: rosbag reindex" if is_old else "see what `ros2 bag info` says of it"
             raise RecordingError(
-                f"{self._path}: this bag cannot be read ({told}); copy it again, or see what "
-                "`ros2 bag info` says of it"
+                f"{self._path}: this bag cannot be read ({told}); copy it again, or {way}"
             ) from None
 
 

@@ -119,10 +119,8 @@ class _McapFiles:
                 kinds[part.type_of(number)] += count
         if not self.kinds:
             problems = "; ".join(filter(None, (recording.problem for recording in self._parts)))
-            raise RecordingError(
-                f"{path}: nothing in it can be read ({problems or 'it has no messages'}); "
-                "`trigpoint check` says more"
-            )
+            why = f"nothing in it can be read ({problems}); `trigpoint check` says more"
+            raise RecordingError(f"{path}: {why if problems else 'it has no messages'}")
 
     def messages(self, topics: Collection[str]) -> Iterator[Raw]:
         for recording in self._parts:

@@ -7,6 +7,7 @@ import numpy as np
 import rerun as rr
 
 from trigpoint.base.clock import to_ns
+from trigpoint.base.words import plus_minus
 from trigpoint.contract.messages import CameraInfo, FaceSighting, Picture, PoseEstimate, Sightings
 from trigpoint.geometry import CameraModel
 from trigpoint.geometry.rotation import Array, to_quaternion
@@ -89,7 +90,7 @@ class CameraScene:
         if not self._is_located:
             self._is_located = True
             self._show_pinhole(stamp_ns)
-            self._log(stamp_ns, "INFO", f"{self.name} located, {style.centimetres(sigma_m)}")
+            self._log(stamp_ns, "INFO", f"{self.name} located, {plus_minus(sigma_m)}")
         self._columns.row(
             self._path,
             stamp_ns,
@@ -98,7 +99,7 @@ class CameraScene:
             quaternion=[pose.quaternion],
         )
         draw_ellipsoid(self._columns, f"/map/uncertainty/{self.name}", message, self._colour)
-        said = f"{self.name} {style.centimetres(sigma_m)}"
+        said = f"{self.name} {plus_minus(sigma_m)}"
         self._columns.row(
             f"/map/names/{self.name}",
             stamp_ns,

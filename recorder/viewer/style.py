@@ -137,10 +137,3 @@ def decades(value: float) -> float:
     """The decimal logarithm of a sigma in cm or mrad, -1 for all that is below 0.1: rerun's plots
     have no logarithmic axis, and a camera's sigma goes from a metre to a millimetre."""
     return float(np.log10(max(value, _LEAST)))
-
-
-def centimetres(sigma_m: float) -> str:
-    """A sigma for people."""
-    if sigma_m < 1e-3:
-        return "<0.1 cm"
-    return f"±{100 * sigma_m:.1f} cm" if sigma_m < 1 else f"±{sigma_m:.1f} m"

@@ -1,6 +1,7 @@
 """camera_info YAML: what is written reads back, and what is wrong is named."""
 
 import json
+import re
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
@@ -71,6 +72,7 @@ def test_zeros_beyond_the_model_are_dropped() -> None:
         ("[500.0", "[-500.0", "focal"),
         ("[500.0", "[.nan", "camera_matrix"),
         ("[500.0, 0.0,", "[500.0,", "camera_matrix"),
+        ("plumb_bob\n", "plumb_bob\ncamera_model: omni\n", "«omni»"),
         ("image_height: 480", "image_height: 480 :", "c1.yaml:2"),
         ("0.0, 0.0]", "0.0, 0.0, 0.5, 0.5, 0.5, 0.5]", "coefficients"),
     ],
@@ -81,6 +83,13 @@ def test_wrong_file_is_named_with_its_fault(old: str, new: str, named: str) -> N
         parse_camera_info(text, file="c1.yaml")
     assert named in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_lens_of_a_driver_that_was_never_calibrated_is_called_so() -> None:
+    matrix = re.compile(r"(camera_matrix:.*?data: )\[.*?\]", re.DOTALL)
+    text = matrix.sub(r"\1[0, 0, 0, 0, 0, 0, 0, 0, 0]", format_camera_info(CAMERA, "c1"), count=1)
+    with pytest.raises(InputError, match="before the camera is calibrated"):
+        parse_camera_info(text, file="c1.yaml")
 
 
 def test_missing_file_is_one_line(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import typer
 
 from trigpoint.base.errors import InputError, OperationError, writing
 from trigpoint.base.terminal import Progress, table, waiting
-from trigpoint.base.words import counted
+from trigpoint.base.words import counted, two_decimals
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.pipeline import Pipeline
 from trigpoint.map.building import attached_plan, load_plan
@@ -125,11 +125,11 @@ def _row(name: str, camera: CameraRecord, error: NetworkError | None) -> list[st
     if camera.status != "located":
         return [name, camera.status]
     turn = math.degrees(camera.rotation_sigma)
-    row = [name, camera.status, f"{100 * camera.position_sigma:.2f}", f"{turn:.2f}"]
+    row = [name, camera.status, two_decimals(100 * camera.position_sigma), two_decimals(turn)]
     row += [str(camera.sightings), str(camera.rejected), f"{camera.reprojection_rms:.2f}"]
     if error and name in error.cameras:
         mine = error.cameras[name]
-        row += [f"{100 * mine.position:.2f}", f"{math.degrees(mine.rotation):.2f}"]
+        row += [two_decimals(100 * mine.position), two_decimals(math.degrees(mine.rotation))]
         row.append(f"{mine.sigmas:.1f}")
     return row
 

@@ -99,6 +99,7 @@ def fed(
     unreadable = found.unreadable
     for node in unreadable.keys() & inputs.site.cameras.keys():
         pipeline.arrivals.unreadable[node] = unreadable.pop(node)
+    pipeline.arrivals.misdescribed |= found.misdescribed
     if not robots and (unsound := unreadable.values()):
         raise OperationError(
             f"{source}: no odometry can be used ({'; '.join(unsound)}); mend what sends it, and "

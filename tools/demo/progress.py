@@ -2,6 +2,8 @@
 
 from collections.abc import Callable
 
+from trigpoint.base.words import plus_minus
+
 from .watch import Watch
 
 _TERMINAL_PERIOD_S = 1.0
@@ -45,7 +47,7 @@ def status_line(watch: Watch, now_s: float, cameras: int) -> str:
     parts = [f"{len(watch.cameras)}/{cameras} cameras located"]
     if watch.robots:
         sigma_m = max(watch.robots.values())
-        parts.append(f"robot ± {100 * sigma_m:.1f} cm")
+        parts.append(f"robot {plus_minus(sigma_m)}")
     parts.append(f"{watch.total('pictures')} pictures, {watch.total('faces')} faces seen")
     parts.append(f"{watch.total('corrections_accepted')} corrections")
     minutes, seconds = divmod(max(0, int(now_s)), 60)

@@ -1,6 +1,6 @@
 """Reads a bag's pictures, compressed or raw, as grey."""
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 import cv2
@@ -8,44 +8,71 @@ import numpy as np
 
 from trigpoint.base.clock import to_seconds
 from trigpoint.base.errors import InputError, MessageError
-from trigpoint.base.words import counted
+from trigpoint.base.words import counted, numberless
 from trigpoint.contract.messages import Picture
 from trigpoint.edge.sources.picture_files import decoded
 from trigpoint.recorder.session.bag import Bag, RawImage
 
-_CONVERSIONS = {
-    "rgb8": (3, cv2.COLOR_RGB2GRAY),
-    "bgr8": (3, cv2.COLOR_BGR2GRAY),
-    "8UC3": (3, cv2.COLOR_BGR2GRAY),
-    "rgba8": (4, cv2.COLOR_RGBA2GRAY),
-    "bgra8": (4, cv2.COLOR_BGRA2GRAY),
-    "8UC4": (4, cv2.COLOR_BGRA2GRAY),
-    "yuv422": (2, cv2.COLOR_YUV2GRAY_UYVY),
-    "uyvy": (2, cv2.COLOR_YUV2GRAY_UYVY),
-    "yuv422_yuy2": (2, cv2.COLOR_YUV2GRAY_YUYV),
-    "yuyv": (2, cv2.COLOR_YUV2GRAY_YUYV),
+from .account import PictureAccount
+
+# Bytes a sample, samples a pixel, and how they become grey, by the encoding in small letters.
+_CONVERSIONS: dict[str, tuple[int, int, int | None]] = {
+    "mono8": (1, 1, None),
+    "8uc1": (1, 1, None),
+    "mono16": (2, 1, None),
+    "16uc1": (2, 1, None),
+    "rgb8": (1, 3, cv2.COLOR_RGB2GRAY),
+    "bgr8": (1, 3, cv2.COLOR_BGR2GRAY),
+    "8uc3": (1, 3, cv2.COLOR_BGR2GRAY),
+    "rgba8": (1, 4, cv2.COLOR_RGBA2GRAY),
+    "bgra8": (1, 4, cv2.COLOR_BGRA2GRAY),
+    "8uc4": (1, 4, cv2.COLOR_BGRA2GRAY),
+    "rgb16": (2, 3, cv2.COLOR_RGB2GRAY),
+    "bgr16": (2, 3, cv2.COLOR_BGR2GRAY),
+    "rgba16": (2, 4, cv2.COLOR_RGBA2GRAY),
+    "bgra16": (2, 4, cv2.COLOR_BGRA2GRAY),
+    "yuv422": (1, 2, cv2.COLOR_YUV2GRAY_UYVY),
+    "uyvy": (1, 2, cv2.COLOR_YUV2GRAY_UYVY),
+    "yuv422_yuy2": (1, 2, cv2.COLOR_YUV2GRAY_YUYV),
+    "yuyv": (1, 2, cv2.COLOR_YUV2GRAY_YUYV),
+    # Grey comes first, whole; colours lie behind it.
+    "nv12": (1, 1, None),
+    "nv21": (1, 1, None),
+    "nv24": (1, 1, None),
+    "i420": (1, 1, None),
     # The pattern names the first two pixels; OpenCV names the second row's second and third.
-    "bayer_rggb8": (1, cv2.COLOR_BayerBG2GRAY),
-    "bayer_bggr8": (1, cv2.COLOR_BayerRG2GRAY),
-    "bayer_gbrg8": (1, cv2.COLOR_BayerGR2GRAY),
-    "bayer_grbg8": (1, cv2.COLOR_BayerGB2GRAY),
+    "bayer_rggb8": (1, 1, cv2.COLOR_BayerBG2GRAY),
+    "bayer_bggr8": (1, 1, cv2.COLOR_BayerRG2GRAY),
+    "bayer_gbrg8": (1, 1, cv2.COLOR_BayerGR2GRAY),
+    "bayer_grbg8": (1, 1, cv2.COLOR_BayerGB2GRAY),
+    "bayer_rggb16": (2, 1, cv2.COLOR_BayerBG2GRAY),
+    "bayer_bggr16": (2, 1, cv2.COLOR_BayerRG2GRAY),
+    "bayer_gbrg16": (2, 1, cv2.COLOR_BayerGR2GRAY),
+    "bayer_grbg16": (2, 1, cv2.COLOR_BayerGB2GRAY),
 }
-_GREY, _GREY_16 = ("mono8", "8UC1"), ("mono16", "16UC1")
+# Formats of compressed messages that hold no pictures, and what to do.
+_NO_PICTURES = {
+    "compresseddepth": "that is depth, not a picture; name the topic of the camera's pictures",
+    "h264": "that is a part of a video; make pictures of it: ros2 run image_transport republish",
+    "h265": "that is a part of a video; make pictures of it: ros2 run image_transport republish",
+    "hevc": "that is a part of a video; make pictures of it: ros2 run image_transport republish",
+}
 
 
 def bag_pictures(
-    path: Path, topics: Collection[str], leave_out: Callable[[InputError], None]
+    path: Path, topics: Collection[str], account: PictureAccount
 ) -> Iterator[tuple[str, str, np.ndarray]]:
     """(name, stem, grey picture) of a bag's pictures, named by topic and stamp.
 
     Without `topics` its only topic with pictures; raises InputError where there are several, or
-    none. `leave_out` is told of each picture that cannot be read.
+    none. `account` is told of each picture that cannot be read.
     """
     bag = Bag(path)
 
     def refuse(topic: str, log_ns: int, reason: MessageError) -> None:
         at_s = f"{to_seconds(log_ns):.3f} s"
-        leave_out(InputError(f"{path}: a picture of {topic}, at {at_s}: {reason}"))
+        said = InputError(f"{path}: a picture of {topic}, at {at_s}: {reason}")
+        account.leave_out(said, f"{path} {topic} {numberless(str(reason))}")
 
     for one in bag.messages(list(topics) or _only(path, bag), refuse):
         if not isinstance(one.message, (Picture, RawImage)):
@@ -68,23 +95,24 @@ def grey_of(picture: Picture | RawImage) -> np.ndarray:
     try:
         return decoded(picture.data)
     except InputError as reason:
-        size = counted(len(picture.data), "byte")
-        raise MessageError(f"{reason} ({size}, {picture.format or 'no format'})") from None
+        said = f"{counted(len(picture.data), 'byte')}, {picture.format or 'no format'}"
+        ways = [way for name, way in _NO_PICTURES.items() if name in picture.format.lower()]
+        raise MessageError(f"{reason} ({said}){''.join(f': {way}' for way in ways)}") from None
 
 
 def _grey_of_raw(image: RawImage) -> np.ndarray:
-    if image.encoding in _GREY:
-        return _rows(image, 1)
-    if image.encoding in _GREY_16:
-        wide = _rows(image, 2).view(">u2" if image.is_bigendian else "<u2")
-        return wide.astype(np.uint16)
-    if image.encoding not in _CONVERSIONS:
-        raise MessageError(f"its encoding is «{image.encoding}»; convert it")
-    channels, code = _CONVERSIONS[image.encoding]
-    pixels = _rows(image, channels)
-    if channels > 1:
-        pixels = pixels.reshape(image.height, image.width, channels)
-    return cv2.cvtColor(pixels, code)
+    known = _CONVERSIONS.get(image.encoding.lower())
+    if known is None:
+        raise MessageError(
+            f"its encoding is «{image.encoding}»; have it published as mono8 or bgr8, or as JPEG"
+        )
+    size, samples, code = known
+    pixels = _rows(image, size * samples)
+    if size > 1:
+        pixels = pixels.view(">u2" if image.is_bigendian else "<u2").astype(np.uint16)
+    if samples > 1:
+        pixels = pixels.reshape(image.height, image.width, samples)
+    return pixels if code is None else cv2.cvtColor(pixels, code)
 
 
 def _rows(image: RawImage, pixel: int) -> np.ndarray:
@@ -106,5 +134,8 @@ def _only(path: Path, bag: Bag) -> list[str]:
     if len(found) == 1:
         return found
     known = ", ".join(found or sorted(bag.topics))
-    what = "several topics with pictures" if found else "no topic with pictures"
-    raise InputError(f"{path}: there are {what} ({known}); name one with --topic")
+    if found:
+        text = f"there are several topics with pictures ({known}); name one with --topic"
+    else:
+        text = f"no topic in it has pictures (it has {known}); give a bag with a camera's"
+    raise InputError(f"{path}: {text}")

@@ -36,7 +36,7 @@ _READABLE_WIDTH = 1200
 LEAST_PICTURES = 10
 """So many pictures with nothing in them are worth a word."""
 NOTHING_NEAR = (
-    "no board near to the target file's is in them either; compare its columns, rows and "
+    "no board near to the target file's is in them either; compare its pattern, columns, rows and "
     "dictionary with the print, and see that the board is sharp, whole, and large enough"
 )
 
@@ -144,7 +144,7 @@ def _opened(
     elif is_bag(path):
         from .bag import bag_pictures  # the readers of bags take half a second to import
 
-        yield from bag_pictures(path, topics, account.leave_out)
+        yield from bag_pictures(path, topics, account)
     elif files := _picture_files(path):
         for file in files:
             try:

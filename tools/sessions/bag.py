@@ -50,8 +50,9 @@ def bag_messages(path: Path, roles: Sequence[Role], inputs: Inputs) -> SessionMe
     or a topic does not fit.
     """
     bag, found = Bag(path), SessionMessages()
-    names = _names(bag, roles, inputs)
-    detector = detector_for(list({t.name: t for t in inputs.targets.values()}.values()))
+    names = _names(path, bag, roles, inputs)
+    targets = list({t.name: t for t in inputs.targets.values()}.values())
+    detectors = {name: detector_for(targets) for name in inputs.site.cameras}
 
     def refuse(topic: str, log_ns: int, reason: MessageError) -> None:
         found.refuse(names[topic], topic, log_ns, reason)
@@ -59,15 +60,20 @@ def bag_messages(path: Path, roles: Sequence[Role], inputs: Inputs) -> SessionMe
     for one in bag.messages(list(names), refuse):
         name = names[one.topic]
         try:
-            message = _as_message(one, name, detector)
+            message = _as_message(one, name, detectors)
         except MessageError as reason:
             refuse(one.topic, one.log_ns, reason)
             continue
         found.add(name, message, one.log_ns)
+    found.misdescribed = {
+        name: "; ".join(detector.misdescribed)
+        for name, detector in detectors.items()
+        if detector.misdescribed
+    }
     return found
 
 
-def _names(bag: Bag, roles: Sequence[Role], inputs: Inputs) -> Mapping[str, str]:
+def _names(path: Path, bag: Bag, roles: Sequence[Role], inputs: Inputs) -> Mapping[str, str]:
     """Topic -> camera or robot, each fitting its type."""
     names: dict[str, str] = {}
     site = inputs.site
@@ -81,6 +87,14 @@ def _names(bag: Bag, roles: Sequence[Role], inputs: Inputs) -> Mapping[str, str]
             for beside in _infos_beside(role.topic):
                 if bag.topics.get(beside) == CAMERA_INFO:
                     names.setdefault(beside, role.name)
+    if not any(bag.topics.get(topic) == ODOMETRY for topic in names) and (
+        odometry := sorted(topic for topic, kind in bag.topics.items() if kind == ODOMETRY)
+    ):
+        robot = next(iter(site.robots), "r1")
+        raise InputError(
+            f"{path}: no --topic names the odometry of a robot; there is {', '.join(odometry)}:"
+            f" add --topic {robot}={odometry[0]}"
+        )
     return names
 
 
@@ -92,10 +106,12 @@ def _infos_beside(topic: str) -> Iterator[str]:
         yield f"{parent}/camera_info"
 
 
-def _as_message(one: BagMessage, name: str, detector: TargetDetector) -> Message:
+def _as_message(one: BagMessage, name: str, detectors: Mapping[str, TargetDetector]) -> Message:
     message = one.message
     if not isinstance(message, (Picture, RawImage)):
         return message
     grey = as_grey(grey_of(message))
     height, width = grey.shape
-    return Sightings(message.stamp_ns, f"{name}/optical", width, height, detector.detect(grey))
+    return Sightings(
+        message.stamp_ns, f"{name}/optical", width, height, detectors[name].detect(grey)
+    )

@@ -15,9 +15,11 @@ _TOPICS = (topics.CAMERA_INFO, topics.ODOMETRY, topics.SIGHTINGS, topics.DIAGNOS
 
 
 class SessionMessages:
-    """What of a session can be used, and what cannot."""
+    """What of a session can be used, and what cannot. `misdescribed`: camera -> what its pictures
+    show in place of the target file's boards."""
 
     def __init__(self) -> None:
+        self.misdescribed: dict[str, str] = {}
         self._found: list[tuple[int, int, int, str, Message]] = []
         self._refused: dict[tuple[str, str, str], tuple[str, list[int]]] = {}
 

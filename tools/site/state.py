@@ -5,7 +5,7 @@ from collections.abc import Iterable
 
 from msgspec import Struct
 
-from trigpoint.base.words import numberless
+from trigpoint.base.words import loss_words, numberless
 from trigpoint.contract.messages import DiagnosticStatus
 from trigpoint.contract.topics import SIGHTINGS, topic_of
 from trigpoint.node.health import LOST_SO_FAR
@@ -202,7 +202,7 @@ def notes(node: NodeStatus) -> list[str]:
     """Remarks on a node, one per line; none for an idle one."""
     told = _by_topic(node.rates).items()
     rates = ", ".join(f"{name} {rate:g}" for name, rate in told if rate or name == _FACES)
-    losses = ", ".join(f"{count} {name}" for name, count in node.losses.items() if count)
+    losses = loss_words(node.losses)
     words = ", ".join(f"{name}: {text}" for name, text in node.words.items() if text)
     found = [rates, words, losses and f"lost: {losses}"]
     is_told = node.message == "running" or node.message.startswith(LOST_SO_FAR)

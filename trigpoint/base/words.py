@@ -3,7 +3,7 @@
 import difflib
 import os
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from trigpoint import __version__
 
@@ -17,6 +17,27 @@ def nearest(word: str, known: Iterable[str]) -> str:
     """«; did you mean «charuco»?», "" if there is nothing to choose from."""
     close = difflib.get_close_matches(word, list(known), n=1, cutoff=0.0)
     return f"; did you mean «{close[0]}»?" if close else ""
+
+
+def plus_minus(sigma_m: float) -> str:
+    """A standard deviation: «±0.8 cm», «<0.1 cm», «±1.2 m»."""
+    if sigma_m < 1e-3:
+        return "<0.1 cm"
+    return f"±{100 * sigma_m:.1f} cm" if sigma_m < 1 else f"±{sigma_m:.1f} m"
+
+
+def loss_words(losses: Mapping[str, int]) -> str:
+    """Losses by the names of their counters: «1 picture, 3 given up»; "" where there are none."""
+    return ", ".join(
+        f"{count} {(name if count > 1 else name.removesuffix('s')).replace('_', ' ')}"
+        for name, count in losses.items()
+        if count
+    )
+
+
+def two_decimals(value: float) -> str:
+    """«0.84»; «<0.01» of what is not nothing and would read so."""
+    return "<0.01" if 0 < value < 0.005 else f"{value:.2f}"
 
 
 def numberless(text: str) -> str:

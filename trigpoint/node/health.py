@@ -9,6 +9,7 @@ from msgspec import Struct
 
 from trigpoint.base.clock import Clock, SystemClock, to_ns, to_seconds
 from trigpoint.base.errors import MessageError
+from trigpoint.base.words import loss_words
 from trigpoint.bus.bus import Sample, Subscription
 from trigpoint.contract.durations import Durations
 from trigpoint.contract.messages import Mended
@@ -189,8 +190,7 @@ class Health:
         if self._failed_ns is not None and now_ns - self._failed_ns < _MEMORY_NS:
             return Level.ERROR, self._last_error
         if self._lost_ns is not None and now_ns - self._lost_ns < _MEMORY_NS:
-            lost = ", ".join(f"{count} {name}" for name, count in losses.items() if count)
-            return Level.WARN, f"{LOST_SO_FAR}{lost}"
+            return Level.WARN, f"{LOST_SO_FAR}{loss_words(losses)}"
         return Level.OK, "running"
 
 

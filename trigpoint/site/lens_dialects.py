@@ -55,6 +55,7 @@ def read_dialect(text: str, file: str) -> LensFile:
     found = _Keys(_flat(_document(text, file), file), file)
     if "radialdistortion" in found.values:
         return _of_matlab(found)
+    _named_model(found)  # another model has other numbers, too
     width, height = _size_of(found)
     matrix = _matrix_of(found)
     distortion = _distortion_of(found)
@@ -130,6 +131,11 @@ def _matrix_of(found: _Keys) -> np.ndarray:
         what = known if numbers.size else "the key «camera_matrix» is missing"
         raise InputError(f"{found.file}: {what}; {_CONVERT}")
     matrix = numbers.reshape(3, 3)
+    if not np.any(matrix[:2]):
+        raise InputError(
+            f"{found.file}: camera_matrix is all zeros, as drivers have it before the camera is "
+            f"calibrated{_LATER}"
+        )
     if matrix[2, 0] and not np.any(matrix[:2, 2]):
         raise InputError(f"{found.file}: camera_matrix is transposed, as MATLAB's; exchange rows")
     if not np.array_equal(matrix[2], [0, 0, 1]) or matrix[1, 0]:

@@ -7,6 +7,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from trigpoint.base.words import two_decimals
 from trigpoint.map.network import CameraRecord, Network
 from trigpoint.tools.networks.truth import MOST_SIGMAS, CameraError, NetworkError
 from trigpoint.tools.pages.frame import fixed, row, table
@@ -60,9 +61,9 @@ def _place_cells(camera: CameraRecord) -> list[str]:
         why = "; ".join((camera.status, *camera.undetermined))
         return [element("td", escape(why), colspan=5, class_="words")]
     numbers = [fixed(value, 3) for value in camera.map_from_camera.translation]
-    numbers.append(f"{100 * camera.position_sigma:.2f}")
-    numbers.append(f"{math.degrees(camera.rotation_sigma):.2f}")
-    return [element("td", number) for number in numbers]
+    numbers.append(two_decimals(100 * camera.position_sigma))
+    numbers.append(two_decimals(math.degrees(camera.rotation_sigma)))
+    return [element("td", escape(number)) for number in numbers]
 
 
 def _error_cells(error: CameraError | None) -> list[str]:
@@ -70,8 +71,8 @@ def _error_cells(error: CameraError | None) -> list[str]:
         return [element("td", "–")] * 3
     kind = "bad-text" if error.sigmas > MOST_SIGMAS else None
     return [
-        element("td", f"{100 * error.position:.2f}"),
-        element("td", f"{math.degrees(error.rotation):.2f}"),
+        element("td", escape(two_decimals(100 * error.position))),
+        element("td", escape(two_decimals(math.degrees(error.rotation)))),
         element("td", f"{error.sigmas:.1f}", class_=kind),
     ]
 

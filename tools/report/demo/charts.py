@@ -96,7 +96,6 @@ def distance_chart(results: DemoResults) -> str:
     band = element(
         "rect", x=left, y=high, width=right - left, height=low - high, class_="paper-band"
     )
-    words = text(right - 4, high - 5, "the paper's mean error", class_="tick end-anchored")
     zero = line(left, float(axes.up(0)), right, float(axes.up(0)), class_="axis")
     marks = [
         _pair(axes, place, names, 100 * error_m, 100 * sigma_m)
@@ -105,8 +104,8 @@ def distance_chart(results: DemoResults) -> str:
         )
     ]
     label = "The error of the distance between every two cameras"
-    title = "estimated minus true distance, cm"
-    return axes.chart("", title, band, zero, words, *marks, label=label, names=found.pairs)
+    title = "estimated minus true, cm; shaded: the paper's mean error"
+    return axes.chart("", title, band, zero, *marks, label=label, names=found.pairs)
 
 
 def _pair(axes: Axes, place: int, names: tuple[str, str], error_cm: float, sigma_cm: float) -> str:

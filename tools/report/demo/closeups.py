@@ -1,7 +1,10 @@
 """Each camera up close: where it was found around where it truly is."""
 
+from html import escape
+
 import numpy as np
 
+from trigpoint.base.words import two_decimals
 from trigpoint.tools.pages.plan import Plan
 from trigpoint.tools.pages.svg import (
     camera_colour,
@@ -43,7 +46,8 @@ def _figure(camera: CameraResult, index: int, plan: Plan) -> str:
     caption = element(
         "figcaption",
         element("b", camera.name),
-        f" {100 * camera.error.position:.2f} cm off, {camera.error.sigmas:.1f} sigmas",
+        escape(f" {two_decimals(100 * camera.error.position)} cm off"),
+        element("span", f"{camera.error.sigmas:.1f} sigmas"),
     )
     return element("figure", _target(camera, plan), caption, class_=camera_colour(index))
 

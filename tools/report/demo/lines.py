@@ -6,6 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from trigpoint.base.terminal import table as aligned
+from trigpoint.base.words import two_decimals
 
 from .results import PAPER_DISTANCE_ERROR_M, CameraResult, DemoResults, RobotResult
 
@@ -44,10 +45,10 @@ def _camera(camera: CameraResult) -> tuple[str, ...]:
         return camera.name, why, "", "", "", "", *seen
     return (
         camera.name,
-        f"{100 * camera.error.position:.2f}",
-        f"{100 * camera.record.position_sigma:.2f}",
-        f"{math.degrees(camera.error.rotation):.2f}",
-        f"{math.degrees(camera.record.rotation_sigma):.2f}",
+        two_decimals(100 * camera.error.position),
+        two_decimals(100 * camera.record.position_sigma),
+        two_decimals(math.degrees(camera.error.rotation)),
+        two_decimals(math.degrees(camera.record.rotation_sigma)),
         f"{camera.error.sigmas:.1f}",
         *seen,
     )

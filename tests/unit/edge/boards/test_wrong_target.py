@@ -6,10 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 from support.pictures.boards import aprilgrid, charuco, checkerboard, picture_of, placed, target_of
+from support.wrong_inputs.targets import shots
 
 from trigpoint.edge.detector import detector_for
 from trigpoint.edge.tracker import TargetTracker
-from trigpoint.site.target import Face, Numbering
+from trigpoint.site.target import NOWHERE, Face, Numbering, Pattern
 
 WRONG = [
     # the board, what the file has of it, and what is said
@@ -17,7 +18,12 @@ WRONG = [
     (charuco(8, 6), {"legacy": True}, "write legacy = false"),
     (charuco(5, 8), {"columns": 8, "rows": 5}, "write columns = 5 and rows = 8"),
     (charuco(5, 7), {"columns": 7, "rows": 5}, "so it is not used; write columns = 5 and rows = 7"),
-    (charuco(6, 5), {"columns": 6, "rows": 4}, "compare columns, rows"),
+    (charuco(6, 5), {"columns": 6, "rows": 4}, "a board with columns = 6, rows = 5 or more, so"),
+    (charuco(5, 2), {"columns": 4}, "compare columns, rows"),
+    (charuco(9, 6), {"columns": 7, "rows": 5}, "a board with columns = 9, rows = 6 or more, so"),
+    (charuco(7, 5), {"columns": 8}, "a board with columns = 7, rows = 5 or more, so"),
+    (charuco(7, 5), {"first_marker": 20}, "a board with first_marker = 0, so"),
+    (charuco(7, 5), {"marker": 0.03}, "a board with marker = 0.045 or so, so"),
     (charuco(5, 4), {"inverted": True}, "write inverted = false"),
     (charuco(5, 4), {"dictionary": "DICT_6X6_250"}, 'write dictionary = "DICT_4X4_250"'),
     (
@@ -25,10 +31,22 @@ WRONG = [
         {"dictionary": "DICT_4X4_250"},
         'write dictionary = "DICT_6X6_250"',
     ),
+    (
+        replace(charuco(6, 4, legacy=True), dictionary="DICT_5X5_100"),
+        {"dictionary": "DICT_4X4_50", "legacy": False},
+        'write dictionary = "DICT_5X5_50" and legacy = true',
+    ),
+    (
+        replace(charuco(7, 5), dictionary="DICT_5X5_100"),
+        {"dictionary": "DICT_4X4_50", "columns": 5, "rows": 7},
+        'write dictionary = "DICT_5X5_50" and columns = 7 and rows = 5',
+    ),
     (aprilgrid(4, 3), {"columns": 3, "rows": 4}, "write columns = 4 and rows = 3"),
     (aprilgrid(4, 3), {"numbering": Numbering.KALIBR}, 'write numbering = "top-left"'),
     (aprilgrid(4, 3), {"border_bits": 2}, "write border_bits = 1"),
     (checkerboard(10, 7), {"columns": 9, "rows": 6}, "write columns = 10 and rows = 7"),
+    (checkerboard(10, 7), {"columns": 9}, "write columns = 10 and rows = 7"),
+    (checkerboard(9, 7), {"rows": 6}, "write columns = 9 and rows = 7"),
     (checkerboard(7, 9), {"columns": 6, "rows": 8}, "write columns = 7 and rows = 9"),
 ]
 
@@ -43,17 +61,60 @@ def test_board_that_the_picture_contradicts_is_not_found_and_said_at_once(
         assert detector.detect(picture_of([view])) == ()
     [line] = detector.misdescribed
     assert remedy in line
-    assert line.endswith(remedy) or "compare" in remedy
+    assert line.endswith(remedy) or "; compare" in line
 
 
+@pytest.mark.parametrize(
+    ("described", "remedy"),
+    [
+        ({"columns": 4, "rows": 5}, "write columns = 5 and rows = 4"),
+        ({"numbering": Numbering.TOP_LEFT}, 'write numbering = "kalibr"'),
+        (
+            {"border_bits": 1, "dictionary": "DICT_APRILTAG_25h9"},
+            'write dictionary = "DICT_APRILTAG_36h11" and border_bits = 2',
+        ),
+        ({"marker": 0.05}, "a board with marker = 0.06 or so, so"),
+    ],
+)
+def test_grid_as_kalibr_prints_it_is_said(described: dict[str, object], remedy: str) -> None:
+    """Its tags stand on their heads, and touch black squares."""
+    true = replace(aprilgrid(5, 4, border_bits=2), numbering=Numbering.KALIBR)
+    detector = detector_for([target_of(replace(true, **described))])
+    for picture in shots(true, np.random.default_rng(1), 2):
+        assert detector.detect(picture) == ()
+    [line] = detector.misdescribed
+    assert remedy in line
+
+
+def test_markers_that_chance_reads_at_an_edge_are_no_board_where_the_board_goes_on() -> None:
+    true = Face(0, Pattern.CHARUCO, 7, 5, 0.04, *NOWHERE, marker=0.03, dictionary="DICT_5X5_100")
+    described = replace(true, columns=5, rows=7, dictionary="DICT_4X4_50")
+    for picture in shots(true, np.random.default_rng(119), 4):
+        assert detector_for([target_of(described)]).detect(picture) == ()
+
+
+@pytest.mark.parametrize("other", ["", "DICT_5X5_1000"])
 @pytest.mark.parametrize("face", [charuco(6, 8), aprilgrid(6, 4)], ids=lambda f: f.pattern.value)
-def test_mirrored_pictures_are_called_mirrored(face: Face) -> None:
-    detector = detector_for([target_of(face)])
+def test_mirrored_pictures_are_called_mirrored(face: Face, other: str) -> None:
+    described = replace(face, dictionary=other or face.dictionary)
+    detector = detector_for([target_of(described)])
     for turn_deg in (0, 25, 200):
         view = placed(face, distance=1.0, turn_deg=turn_deg)
         assert detector.detect(np.fliplr(picture_of([view])).copy()) == ()
     [line] = detector.misdescribed
     assert "mirrored" in line
+    assert ("and write dictionary" in line) is bool(other)
+
+
+def test_size_of_another_board_is_taken_back_when_the_described_one_is_seen() -> None:
+    face = charuco(7, 5)
+    detector = detector_for([target_of(face)])
+    assert detector.detect(picture_of([placed(charuco(9, 6), distance=1.0)])) == ()
+    assert "columns = 9" in detector.misdescribed[0]
+    assert detector.detect(picture_of([placed(face, distance=0.9)]))
+    assert detector.misdescribed == ()
+    assert detector.detect(picture_of([placed(charuco(9, 6), distance=1.0)])) == ()
+    assert detector.misdescribed == ()
 
 
 def test_board_that_drives_in_is_dropped_when_the_part_that_disagrees_comes_into_view() -> None:

@@ -135,6 +135,9 @@ def test_a_damaged_chunk_is_left_out_and_told_once(
     [
         (b"", "the file is empty"),
         (b"hello, I am no recording at all", "no MCAP file"),
+        (b"\x1f\x8b\x08\0 of something", "gunzip"),
+        (b"#ROSBAG V2.0\n and its records", "rosbag reindex"),
+        (b"SQLite format 3\0 and its pages", ".db3"),
         (b"\x89MCAP0\r\n", "the session is empty"),
     ],
 )

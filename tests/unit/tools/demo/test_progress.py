@@ -48,4 +48,4 @@ def test_status_tells_time_and_cameras():
         watch.close()
     assert "1:23" in line
     assert "1/2 cameras located" in line
-    assert "± 2.3 cm" in line
+    assert "±2.3 cm" in line

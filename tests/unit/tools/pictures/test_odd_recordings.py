@@ -354,3 +354,44 @@ def test_what_is_no_cdr_is_named_as_what_it_is(
 def test_messages_that_nobody_counts_have_no_breaks(tmp_path: Path, cli: Cli) -> None:
     file = write(tmp_path / "bag.mcap", [SOUND] * 3)
     assert json.loads(cli("info", file, "--json").out)["keys"][TOPIC[1:]]["sequence_breaks"] == 0
+
+
+@pytest.mark.parametrize(
+    ("form", "data", "way"),
+    [
+        ("jpeg", b"no picture", "no picture that can be read"),
+        ("16UC1; compressedDepth png", bytes(12) + PNG, "name the topic of the camera's pictures"),
+        ("h264", b"\0\0\0\1\x67" + bytes(90), "a part of a video; make pictures of it"),
+    ],
+)
+def test_pictures_left_out_for_one_cause_are_said_once_and_counted(
+    tmp_path: Path, cli: Cli, form: str, data: bytes, way: str
+) -> None:
+    payloads = [cdr.encode(Picture(0, "", form, data + bytes(extra))) for extra in range(7)]
+    file = write(tmp_path / "b.mcap", payloads)
+    (tmp_path / "target.toml").write_text(CHARUCO_TARGET)
+    error = cli("detect", file, "--target", tmp_path / "target.toml", status=1).err
+    assert "7 pictures left out: " in error
+    assert error.count(way) == 1
+    assert "(and 6 more like it)" in error
+
+
+def test_bag_without_messages_or_pictures_is_said_without_a_circle(
+    tmp_path: Path, cli: Cli
+) -> None:
+    target = tmp_path / "target.toml"
+    target.write_text(CHARUCO_TARGET)
+    empty = tmp_path / "empty.mcap"
+    writer = Writer(str(empty))
+    writer.start(profile="ros2", library="theirs")
+    writer.finish()
+    assert "has no messages" in (said := cli.refused("detect", empty, "--target", target))
+    assert "trigpoint check" not in said  # which finds it sound
+    other = tmp_path / "other.mcap"
+    writer = Writer(str(other))
+    writer.start(profile="ros2", library="theirs")
+    schema = writer.register_schema(ODOMETRY, "ros2msg", cdr.definition(ODOMETRY).encode())
+    channel = writer.register_channel("/odom", "cdr", schema)
+    writer.add_message(channel, 1, cdr.encode(make_odometry(1)), 1)
+    writer.finish()
+    assert "no topic in it has pictures" in cli.refused("detect", other, "--target", target)

@@ -9,7 +9,18 @@ from trigpoint.base.errors import MessageError
 from trigpoint.recorder.session.bag import RawImage
 from trigpoint.tools.pictures.bag import grey_of
 
-ENCODINGS = {"mono8": 1, "rgb8": 3, "bgra8": 4, "mono16": 2, "bayer_rggb8": 1, "yuyv": 2}
+ENCODINGS = {
+    "mono8": 1,
+    "rgb8": 3,
+    "RGB8": 3,
+    "bgra8": 4,
+    "mono16": 2,
+    "rgb16": 6,
+    "bayer_rggb8": 1,
+    "bayer_rggb16": 2,
+    "yuyv": 2,
+    "nv12": 1,
+}
 
 
 @given(
@@ -30,3 +41,18 @@ def test_raw_pictures_of_any_step_are_read_or_refused_in_words(
     else:
         with pytest.raises(MessageError):
             grey_of(image)
+
+
+@pytest.mark.parametrize("encoding", ["mono8", "nv12", "i420", "mono16", "rgb16", "bgra16"])
+def test_raw_picture_keeps_its_brightness(encoding: str) -> None:
+    """Of 12 bits in 16 the same; of planes the first."""
+    grey = np.arange(16 * 12, dtype=np.uint8).reshape(12, 16)
+    wide = encoding.endswith("16")
+    samples = np.repeat(grey.astype("<u2") * 16 if wide else grey, ENCODINGS.get(encoding, 1) // 2)
+    if encoding in ("nv12", "i420", "mono8"):
+        samples = np.append(grey, np.full(0 if encoding == "mono8" else grey.size // 2, 128))
+    if encoding == "bgra16":
+        samples = np.repeat(grey.astype("<u2") * 16, 4)
+    data = np.frombuffer(samples.astype("<u2" if wide else np.uint8).tobytes(), np.uint8)
+    image = RawImage(0, encoding, False, 16, 12, data.size // 12 if wide else 16, data)
+    assert np.array_equal(grey_of(image), grey.astype(np.uint16) * 16 if wide else grey)

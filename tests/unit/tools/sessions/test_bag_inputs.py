@@ -165,3 +165,29 @@ def test_pictures_of_a_bag_become_sightings_with_the_lens_beside_them(
     ]
     assert name == "c1"
     assert len(sighting.faces) == 1
+
+
+def test_board_that_the_target_file_has_wrong_is_said_by_calibrate(
+    tmp_path: Path, target: Path, cli: Cli
+) -> None:
+    target.write_text(target.read_text().replace("DICT_4X4_250", "DICT_5X5_250"))
+    (tmp_path / "site.toml").write_text(
+        'site = "lab"\ntarget = "target.toml"\n[cameras.c1]\nsource = "dir://x"\n'
+        'horizontal_fov = 60.0\n[robots.r1]\nport = "loop://"\n'
+    )
+    odometry = [make_odometry(10**9 + number * 10**8, x=0.01 * number) for number in range(20)]
+    topics = {
+        "/odom": [store().deserialize_cdr(cdr.encode(one), cdr.type_name(one)) for one in odometry],
+        "/front/camera_info": [
+            store().deserialize_cdr(cdr.encode(one), cdr.type_name(one))
+            for one in [CameraInfo(10**9, "camera", CAMERA)]
+        ],
+        "/front/image_raw": [raw(GREY, "mono8")],
+    }
+    bag = write_bag(tmp_path / "bag", StoragePlugin.MCAP, topics)
+    words = ["calibrate", bag, "--site", tmp_path / "site.toml", "--topic", "c1=/front/image_raw"]
+    assert "add --topic r1=/odom" in cli.refused(*words)
+    said = cli(*words, "--topic", "r1=/odom", "--out", tmp_path / "out", status=1)
+    assert "c1 is unseen: face 0" in said.err
+    assert 'write dictionary = "DICT_4X4_250"' in said.err
+    assert "DICT_4X4_250" in (tmp_path / "out" / "report.html").read_text()

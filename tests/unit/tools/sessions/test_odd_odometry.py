@@ -45,11 +45,27 @@ def by_simulator(number: int, message: Any) -> None:
     stamp(message, (number + 1) * 20_000_000)
 
 
+def at_once(_number: int, message: Any) -> None:
+    stamp(message, 10**9)
+
+
+def test_odometry_in_millimetres_is_asked_for_its_unit(
+    recorded: Path, tmp_path: Path, cli: Cli
+) -> None:
+    def change(_number: int, message: Any) -> None:
+        message.pose.pose.position.x *= 1000
+        message.pose.pose.position.y *= 1000
+
+    said = calibrated(cli, recorded, tmp_path, change)
+    assert re.search(r"r1: \d+ of \d+ odometry messages .*are its lengths in metres", said.err)
+
+
 @pytest.mark.parametrize(
     ("kind", "change", "remedy"),
     [
         (ODOMETRY, by_simulator, "the clock of the odometry counts from 0.*use_sim_time"),
         (SIGHTINGS, by_simulator, "the clock of the pictures counts from 0.*use_sim_time"),
+        (ODOMETRY, at_once, "have its driver stamp every message anew"),
         (ODOMETRY, shifted(-7200 * 10**9), "s lie between them; synchronise the clocks"),
         (ODOMETRY, shifted(7200 * 10**9), "s lie between them; synchronise the clocks"),
     ],

@@ -1,0 +1,153 @@
+"""Boards of the file's own dictionary in other numbers than it has: more columns, another first
+marker, larger markers.
+
+The markers in view vote: of all boards that have them, the one on whose plane most of them lie.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from msgspec.structs import replace
+
+from trigpoint.base.errors import TargetError
+from trigpoint.edge.registration.appearance import Appearance
+from trigpoint.edge.registration.dictionaries import dictionary_of
+from trigpoint.edge.registration.printed_pattern import charuco_layout
+from trigpoint.geometry.rotation import Array
+from trigpoint.site.target import Face, Numbering, Pattern
+
+from .markers import Markers
+from .quads import mapped
+
+# Boards have hardly more columns or rows.
+_MOST = 24
+# A homography takes four; more must agree with them.
+LEAST_VOTES = 6
+# How far a marker's middle may lie from where the others put it, of the marker's side; and what is
+# measured wrong of its size where corners are blurred.
+_NEAR, _MARKER_SHARE = 0.2, 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class OtherSize:
+    """A board that may be meant by a look, as far as it is seen: it may go on below. `numbers`:
+    (k,) its markers that agree, of which `which` (k,) of those that were read."""
+
+    look: Appearance
+    face: Face
+    numbers: np.ndarray
+    which: np.ndarray
+
+    @property
+    def is_as_described(self) -> bool:
+        """Whether the file says the same, as far as it is seen."""
+        return self._is_as_large and not self._changes
+
+    @property
+    def _is_as_large(self) -> bool:
+        face, told = self.face, self.look.face
+        return face.columns == told.columns and face.rows <= told.rows
+
+    @property
+    def _changes(self) -> list[str]:
+        face, told = self.face, self.look.face
+        pairs = (
+            (f"first_marker = {face.first_marker}", face.first_marker != told.first_marker),
+            (f"legacy = {str(face.legacy).lower()}", face.legacy != told.legacy),
+            (f'numbering = "{face.numbering.value}"', face.numbering != told.numbering),
+            (f"marker = {face.marker:.2g} or so", face.marker != told.marker),
+        )
+        return [words for words, is_other in pairs if is_other]
+
+    @property
+    def remedy(self) -> str:
+        """What is seen, and what to do, in one line."""
+        size = [f"columns = {self.face.columns}", f"rows = {self.face.rows} or more"]
+        words = ", ".join([*([] if self._is_as_large else size), *self._changes])
+        return (
+            f"{self.look.words}: the pictures show a board with {words}, so it is not used; "
+            "compare the target file with the print"
+        )
+
+
+def other_size(look: Appearance, read: Markers) -> OtherSize | None:
+    """What most of the markers that were `read`, each once and by its id, agree on, the file's own
+    numbers before others; None where too few agree."""
+    best: tuple[int, OtherSize] | None = None
+    if len(read) < LEAST_VOTES:
+        return None
+    for face in _faces(look.face, read.numbers):
+        which = np.flatnonzero(
+            (read.numbers >= face.first_marker)
+            & (read.numbers < face.first_marker + face.marker_count)
+        )
+        if len(which) < max(LEAST_VOTES, best[0] + 1 if best else 0):
+            continue
+        numbers = read.numbers[which] - face.first_marker
+        fit, agree = _agreeing(layout_of(face)[numbers], read.corners[which])
+        if fit is not None and agree.sum() > (best[0] if best else LEAST_VOTES - 1):
+            seen = _as_seen(face, numbers[agree], read.corners[which[agree]], fit)
+            best = int(agree.sum()), OtherSize(look, seen, numbers[agree], which[agree])
+    return best[1] if best else None
+
+
+def layout_of(face: Face) -> Array:
+    """The markers' corners in the face frame by number, (m, 4, 2), metres."""
+    if face.pattern is Pattern.CHARUCO:
+        return charuco_layout(face)
+    return face.corners[:, :2].reshape(-1, 4, 2)
+
+
+def _faces(face: Face, ids: np.ndarray) -> Iterator[Face]:
+    yield face
+    for first in dict.fromkeys((face.first_marker, int(ids.min()))):
+        for other in _ways(face):
+            for columns in range(2, _MOST + 1):
+                changed = replace(other, columns=columns, first_marker=first)
+                if reaching := _reaching(changed, int(ids.max())):
+                    yield reaching
+
+
+def _ways(face: Face) -> tuple[Face, Face]:
+    if face.pattern is Pattern.CHARUCO:
+        return face, replace(face, legacy=not face.legacy)
+    kalibr = face.numbering is Numbering.KALIBR
+    return face, replace(face, numbering=Numbering.TOP_LEFT if kalibr else Numbering.KALIBR)
+
+
+def _reaching(face: Face, last: int) -> Face | None:
+    """The face with as few rows as have the marker `last`, or as many as its dictionary has."""
+    reached = None
+    for rows in range(2, _MOST + 1):
+        face = replace(face, rows=rows)
+        try:
+            dictionary_of(face)
+        except TargetError:
+            break
+        reached = face
+        if face.first_marker + face.marker_count > last:
+            break
+    return reached
+
+
+def _agreeing(layout: Array, corners: Array) -> tuple[Array | None, np.ndarray]:
+    """The homography from the board that most markers (n, 4, 2) agree on, by their middles, and
+    which do, (n,)."""
+    sides = np.linalg.norm(corners[:, 2] - corners[:, 0], axis=-1) / np.sqrt(2)
+    near = _NEAR * float(np.median(sides))
+    fit, agree = cv2.findHomography(layout.mean(axis=1), corners.mean(axis=1), cv2.RANSAC, near)
+    if fit is None:
+        return None, np.zeros(len(layout), bool)
+    return np.asarray(fit, float), agree.ravel().astype(bool)
+
+
+def _as_seen(face: Face, numbers: np.ndarray, corners: Array, fit: Array) -> Face:
+    """The face with the rows that are seen, and markers as large as they are seen."""
+    back = mapped(np.linalg.inv(fit)[None], corners.reshape(-1, 2)).reshape(-1, 4, 2)
+    side = float(np.median(np.linalg.norm(back[:, 2] - back[:, 0], axis=-1) / np.sqrt(2)))
+    told = face.marker or 0.0
+    is_other = abs(side - told) > _MARKER_SHARE * told and side < face.square
+    seen = _reaching(face, face.first_marker + int(numbers.max())) or face
+    return replace(seen, marker=side if is_other else told)
