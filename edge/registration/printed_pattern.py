@@ -143,10 +143,10 @@ def _draw_squares(texels: np.ndarray, face: Face, markers: Array, x: Array, y: A
     """Every other square dark, and none that holds a marker; lengths in squares."""
     column, row = np.floor(x).astype(int), np.floor(y).astype(int)
     light = np.floor(markers[0]).astype(int).sum() % 2 if len(markers) else 1
-    dark = (row[:, None] + column[None]) % 2 != light
-    dark &= ((row >= -1) & (row < face.rows - 1))[:, None]
-    dark &= ((column >= -1) & (column < face.columns - 1))[None]
-    texels[dark] = 0
+    dark = (row % 2 == 1)[:, None] ^ (column % 2 != light)[None]
+    dark[(row < -1) | (row >= face.rows - 1)] = False
+    dark[:, (column < -1) | (column >= face.columns - 1)] = False
+    np.copyto(texels, 0, where=dark)
 
 
 def _draw_marker(
