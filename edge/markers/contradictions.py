@@ -7,6 +7,7 @@ nothing at all says little, since a hand hides markers too.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -73,9 +74,11 @@ def contradictions(
     return Contradictions(*(len(set(which[is_so])) for is_so in (agrees, elsewhere, foreign)))
 
 
+@lru_cache(64)
 def _cells(board: MarkedBoard) -> tuple[Array, np.ndarray]:
     """Where markers could be on a board's grid and one place beyond, (n, 4, 2), clockwise from
-    their top left, and the number of the file's marker there, -1 where it has none."""
+    their top left, and the number of the file's marker there, -1 where it has none; neither is
+    written to."""
     face, layout = board.face, board.layout
     steps = np.rint((layout.mean(axis=1) - layout[0].mean(axis=0)) / face.square).astype(int)
     # Around all squares of a ChArUco board, of which every other one has a marker.
