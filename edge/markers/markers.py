@@ -83,9 +83,10 @@ class MarkerReader:
         border, which all have: of another marker 0, give or take one over the code's side."""
         return _cells(grey, quads, self._within) @ self._codes
 
-    def rows(self, face: Face) -> list[int]:
+    def rows(self, face: Face) -> slice:
         """Which of this reader's markers are a face's, in the face's order."""
-        return [self._row[face.first_marker + number] for number in range(face.marker_count)]
+        first = self._row[face.first_marker]
+        return slice(first, first + face.marker_count)
 
     def best(self, face: Face, scores: Array, quads: Array, least: float) -> Markers:
         """The face's likeliest marker for each quad, where it scores at least `least`."""

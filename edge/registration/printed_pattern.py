@@ -42,8 +42,9 @@ def printed_pattern_of(face: Face, square_px: float) -> PrintedPattern:
     ]
 
 
+@cache
 def charuco_layout(face: Face) -> Array:
-    """The markers' corners in the face frame by number, (m, 4, 2), metres."""
+    """The markers' corners in the face frame by number, (m, 4, 2), metres; not to be written to."""
     board = cv2.aruco.CharucoBoard(
         (face.columns, face.rows),
         face.square,
@@ -53,7 +54,9 @@ def charuco_layout(face: Face) -> Array:
     board.setLegacyPattern(face.legacy)
     corners = np.array(board.getObjPoints(), dtype=float).reshape(-1, 4, 3)
     # OpenCV's origin is the board's outer corner, the contract's is corner 0.
-    return corners[..., :2] - face.square
+    layout = corners[..., :2] - face.square
+    layout.flags.writeable = False
+    return layout
 
 
 @cache
