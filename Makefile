@@ -11,7 +11,7 @@ INPUTS ?= 1000000
 SITUATIONS ?=
 KINDS ?=
 
-.PHONY: demo core fuzz wheels test check lint types imports bench study compositions pictures clean
+.PHONY: demo core fuzz wheels arm test check lint types imports bench study compositions pictures clean
 
 demo: $(CORE)  ## the whole system on this machine, about a minute and a half
 	$(BIN)/trigpoint demo --out out/demo
@@ -65,6 +65,9 @@ wheels: $(INSTALLED)  ## wheels for x86_64 and aarch64, to dist
 	  TRIGPOINT_WHEEL_PLATFORM=manylinux_2_28_$$machine TRIGPOINT_WHEEL_TARGET=$$machine-linux-gnu.2.28 \
 	  $(BIN)/pip wheel --quiet --disable-pip-version-check --no-deps -w dist . || exit; \
 	done
+
+arm: $(CORE) wheels  ## the wheel for aarch64 under qemu finds what is found here (needs qemu-user, and pictures in ../shared/data)
+	$(BIN)/python -m benchmarks arm
 
 $(WITH_BENCH): $(CORE)
 	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test,bench]'

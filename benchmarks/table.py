@@ -38,6 +38,12 @@ BENCHMARKS: dict[str, Benchmark] = {
     "detection": Benchmark(
         "how soon, how often and how well are targets found, beside OpenCV?", "pictures.detection"
     ),
+    "real_boards": Benchmark(
+        "the same of real pictures, also beside calib-targets and AprilTag",
+        "pictures.real_boards",
+        "calib_targets",
+        is_long=True,
+    ),
     "world": Benchmark(
         "the same of boards as the world shows them", "pictures.world_detection", "skimage"
     ),
@@ -93,6 +99,9 @@ BENCHMARKS: dict[str, Benchmark] = {
     ),
     "accuracy_map": Benchmark(
         "are robots corrected as well as the map of that says?", "fusion.accuracy_map", is_long=True
+    ),
+    "arm": Benchmark(
+        "does the wheel for aarch64 find the same there, under qemu?", "arm", is_long=True
     ),
     "fuzz": Benchmark("does any input harm the compiled core?", "fuzz.command", is_long=True),
 }

@@ -44,6 +44,11 @@ SOUND: dict[str, Callable[[Scene], Mapping[int, np.ndarray | float]]] = {
     "tp_scatter": lambda scene: {1: scene.places, 2: scene.pixels},
     "tp_misfit": lambda scene: {2: np.sign(np.arange(len(scene.places)))},
     "tp_likeliest_wrong": lambda scene: {2: np.sign(np.arange(len(scene.places)))},
+    "tp_cells": lambda scene: {0: scene.shown, 1: scene.quads, 3: 5.0},
+    "tp_marker_groups": lambda scene: {
+        0: np.arange(len(scene.places)), 1: scene.quads, 3: scene.squares,
+        2: np.linspace(1.0, 0.5, len(scene.places)),
+    },
     "tp_paths": lambda scene: {0: np.ascontiguousarray(scene.places[:, ::-1], np.int64), 1: 0},
     "tp_sound_corners": lambda scene: {0: scene.places, 1: scene.pixels, 4: 0.7, 6: -1.0},
 }  # fmt: skip
@@ -194,6 +199,8 @@ class Draw(Struct):
             return self.scene.size["hw".index(axis)]
         if axis == "n" and is_sound:
             return self.scene.columns * self.scene.rows
+        if axis == "markers" and is_sound:  # of a face
+            return known["n"]
         if axis == "p" and is_sound:  # of a lens
             return int(self._one_of((8, 9, 12)))
         if axis == "t" and is_sound:

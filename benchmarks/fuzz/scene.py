@@ -57,6 +57,18 @@ class Scene:
         return rays[:, :2] / rays[:, 2:] + noise
 
     @property
+    def squares(self) -> np.ndarray:
+        """Squares about the corners on the board, their corners clockwise, (n, 8)."""
+        around = 0.3 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+        return (self.places[:, None] + around).reshape(-1, 8)
+
+    @property
+    def quads(self) -> np.ndarray:
+        """The same in the picture, (n, 8)."""
+        rays = self.squares.reshape(-1, 2) @ self.homography[:, :2].T + self.homography[:, 2]
+        return (rays[:, :2] / rays[:, 2:]).reshape(-1, 8)
+
+    @property
     def grid(self) -> np.ndarray:
         """Places, pixels and whether the square before is dark, (n, 5)."""
         is_dark = self.places.sum(1, keepdims=True) % 2

@@ -44,6 +44,8 @@ class CheckerboardDetector(FaceFinder):
         self._most = TUNING.most_boards_joined * max(width * height for width, height in extents)
         self._searches = {1: GridSearch(), 2: GridSearch()}
         self._space = Workspace()
+        for look in looks:  # drawn now, so that the first picture need not wait for it
+            CornerPattern.of(look.face)
 
     def locate(
         self, grey: np.ndarray, is_over: IsOver, within: Region | None = None

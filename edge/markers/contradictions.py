@@ -6,6 +6,8 @@ the file has there: another marker, or one beyond the board's edge, says that th
 nothing at all says little, since a hand hides markers too.
 """
 
+from functools import lru_cache
+
 import numpy as np
 from msgspec import Struct
 
@@ -73,10 +75,11 @@ def contradictions(
     return Contradictions(*(len(set(which[is_so])) for is_so in (agrees, elsewhere, foreign)))
 
 
+@lru_cache(64)
 def _cells(board: MarkedBoard) -> tuple[Array, np.ndarray, np.ndarray]:
     """Where markers could be on a board's grid and one place beyond, (n, 4, 2), clockwise from
     their top left; the number of the file's marker there, -1 where it has none; and whether that
-    is on the board."""
+    is on the board. None of these is written to."""
     face, layout = board.face, board.layout
     steps = np.rint((layout.mean(axis=1) - layout[0].mean(axis=0)) / face.square).astype(int)
     # Around all squares of a ChArUco board, of which every other one has a marker.

@@ -118,7 +118,7 @@ class MarkedSearch(FaceFinder):
                 break
             key = reader_key(board.look.face)
             markers = self._readers[key].best(board.look.face, scores[key], quads, LEAST_MEMBER)
-            groups = group_markers(markers, board.layout, is_over)
+            groups = group_markers(markers, board.layout)
             enough = max(least, board.least_markers)
             claims += [(group, board) for group in groups if len(group.numbers) >= enough]
         return self._settled(grey, claims, quads, is_over)

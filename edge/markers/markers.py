@@ -12,15 +12,21 @@ import cv2
 import numpy as np
 from msgspec import Struct
 
-from trigpoint.edge.image.sampling import sampled
 from trigpoint.edge.registration.dictionaries import dictionary_of, predefined_dictionary
 from trigpoint.geometry.rotation import Array
+from trigpoint.native.library import In, Kernel, Out
 from trigpoint.site.target import Face
-
-from .quads import mapped, square_to_quads
 
 # The cells of a quadrilateral must differ by this many grey levels (standard deviation).
 LEAST_CONTRAST = 5.0
+_CELLS = Kernel(
+    "tp_cells",
+    In(np.uint8, ("h", "w")),
+    In(np.float64, ("n", 8)),
+    In(np.float64, ("cells", 2)),
+    float,
+    Out(np.float64, ("n", "cells")),
+)
 
 
 class Markers(Struct, frozen=True):
@@ -66,32 +72,26 @@ class MarkerReader:
         x, y = np.meshgrid(centres, centres)
         self._centres = np.stack([x, y], axis=-1).reshape(-1, 2)
         inside = np.abs(self._centres - 0.5).max(axis=1) < 0.5 - border_bits / self._side
-        self._within = np.flatnonzero(inside)
+        self._within = self._centres[inside]
         flat = np.array(cells).reshape(len(cells), -1)
-        self._codes = _normalised(flat[:, self._within]).T.copy()
+        self._codes = _normalised(flat[:, inside]).T.copy()
 
     def scores(self, grey: np.ndarray, quads: Array) -> Array:
         """Correlation (n, markers, 4 turns) of quads (n, 4, 2) with each marker; 0: no contrast.
 
         In turn k the marker's top left is the quad's corner k.
         """
-        scores = self._cells(grey, quads, slice(None)) @ self._templates
-        return scores.reshape(len(quads), len(self._row), 4)
+        return (_cells(grey, quads, self._centres) @ self._templates).reshape(len(quads), -1, 4)
 
     def codes(self, grey: np.ndarray, quads: Array) -> Array:
         """Correlation (n, markers) of upright quads (n, 4, 2) with what is within each marker's
         border, which all have: of another marker 0, give or take one over the code's side."""
-        return self._cells(grey, quads, self._within) @ self._codes
+        return _cells(grey, quads, self._within) @ self._codes
 
-    def _cells(self, grey: np.ndarray, quads: Array, which: np.ndarray | slice) -> Array:
-        """What quads (n, 4, 2) show in some cells, normalised, (n, cells); 0: no contrast."""
-        cells = sampled(grey, mapped(square_to_quads(quads), self._centres[which]))
-        contrast = cells.std(axis=-1, keepdims=True)
-        return np.where(contrast > LEAST_CONTRAST, _normalised(cells), 0.0)
-
-    def rows(self, face: Face) -> list[int]:
+    def rows(self, face: Face) -> slice:
         """Which of this reader's markers are a face's, in the face's order."""
-        return [self._row[face.first_marker + number] for number in range(face.marker_count)]
+        first = self._row[face.first_marker]
+        return slice(first, first + face.marker_count)
 
     def best(self, face: Face, scores: Array, quads: Array, least: float) -> Markers:
         """The face's likeliest marker for each quad, where it scores at least `least`."""
@@ -137,6 +137,15 @@ def whole_reader(dictionary: str, border_bits: int) -> MarkerReader:
 def reader_key(face: Face) -> tuple[str, int]:
     """The key of a face's reader in `readers_for`."""
     return face.dictionary or "", face.border_bits
+
+
+def _cells(grey: np.ndarray, quads: Array, places: Array) -> Array:
+    """What quads (n, 4, 2) show at places (c, 2) of the unit square, normalised, (n, c); 0: no
+    contrast."""
+    cells = np.empty((len(quads), len(places)))
+    flat = np.ascontiguousarray(quads, float).reshape(-1, 8)
+    _CELLS(np.ascontiguousarray(grey), flat, places, LEAST_CONTRAST, cells)
+    return cells
 
 
 def _cells_of(

@@ -119,8 +119,7 @@ class _Tried(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True)
-class _Own:
+class _Own(Struct, frozen=True):
     """Boards of the same markers as the file's, in other places: those that people mean before
     those of any other size."""
 
@@ -139,8 +138,7 @@ class _Own:
         return best
 
 
-@dataclass(frozen=True, slots=True)
-class _Foreign:
+class _Foreign(Struct, frozen=True):
     """Boards of other markers, or seen in another way, that one reading tells apart."""
 
     others: Others

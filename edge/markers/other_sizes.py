@@ -5,10 +5,10 @@ The markers in view vote: of all boards that have them, the one on whose plane m
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from msgspec import Struct
 from msgspec.structs import replace
 
 from trigpoint.base.errors import TargetError
@@ -30,8 +30,7 @@ LEAST_VOTES = 6
 _NEAR, _MARKER_SHARE = 0.2, 0.1
 
 
-@dataclass(frozen=True, slots=True)
-class OtherSize:
+class OtherSize(Struct, frozen=True):
     """A board that may be meant by a look, as far as it is seen: it may go on below. `numbers`:
     (k,) its markers that agree, of which `which` (k,) of those that were read."""
 

@@ -57,33 +57,3 @@ class QuadFinder:
             self._quads,
         )
         return self._quads[:count].reshape(-1, 4, 2) + region.corner
-
-
-def square_to_quads(quads: Array) -> Array:
-    """Homographies (n, 3, 3) from the unit square (0, 0), (1, 0), (1, 1), (0, 1) to the quads.
-
-    Closed form: Heckbert, «Fundamentals of texture mapping and image warping» (1989), 2.2.3.
-    """
-    a, b, c, d = np.moveaxis(quads, 1, 0)
-    bend, right, down = a - b + c - d, b - c, d - c
-    determinant = right[:, 0] * down[:, 1] - right[:, 1] * down[:, 0]
-    safe = np.where(np.abs(determinant) > 1e-9, determinant, 1e-9)
-    g = (bend[:, 0] * down[:, 1] - bend[:, 1] * down[:, 0]) / safe
-    h = (right[:, 0] * bend[:, 1] - right[:, 1] * bend[:, 0]) / safe
-    maps = np.empty((len(quads), 3, 3))
-    maps[:, :2, 0] = b - a + g[:, None] * b
-    maps[:, :2, 1] = d - a + h[:, None] * d
-    maps[:, :2, 2] = a
-    maps[:, 2] = np.stack([g, h, np.ones_like(g)], axis=-1)
-    return maps
-
-
-def mapped(homographies: Array, points: Array) -> Array:
-    """Points (m, 2), or (n, m, 2) for each its own, through n homographies (n, 3, 3): (n, m, 2).
-
-    A point on the horizon comes out far away, never as no number.
-    """
-    turned = np.swapaxes(homographies, -1, -2)
-    flat = points @ turned[:, :2] + turned[:, 2:]
-    depth = flat[..., 2:]
-    return flat[..., :2] / np.where(np.abs(depth) < 1e-9, 1e-9, depth)

@@ -15,9 +15,8 @@ from trigpoint.native.library import In, Kernel, Out
 
 from .bend import Bend
 
-# Of a fit as it crosses the border to the core, and of its bend's polynomials.
+# Of a fit as it crosses the border to the core.
 FIT = 45
-_BEND = 24
 _PROJECT = Kernel(
     "tp_project", In(np.float64, (FIT,)), In(np.float64, ("n", 2)), Out(np.float64, ("n", 2))
 )
@@ -47,10 +46,14 @@ class PlanarFit(Struct, frozen=True):
     @property
     def packed(self) -> Array:
         """As it crosses the border to the core, (FIT,)."""
-        head = [*self.homography.reshape(-1), *self.radial, *self.centre, self.scale, *self.aside]
-        bend = self.bend
-        tail = [*bend.middle, *bend.half, bend.degree, *bend.values.reshape(-1)] if bend else []
-        return np.array(head + (tail or [0.0, 0.0, 1.0, 1.0, 0.0] + [0.0] * _BEND))
+        numbers = np.zeros(FIT)
+        numbers[:9] = self.homography.reshape(-1)
+        numbers[9:11], numbers[11:13], numbers[13] = self.radial, self.centre, self.scale
+        numbers[14:16], numbers[18:20] = self.aside, 1.0
+        if self.bend:
+            numbers[16:18], numbers[18:20] = self.bend.middle, self.bend.half
+            numbers[20], numbers[21:] = self.bend.degree, self.bend.values.reshape(-1)
+        return numbers
 
     @classmethod
     def unpacked(cls, numbers: Array) -> "PlanarFit":

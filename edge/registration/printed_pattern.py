@@ -41,8 +41,9 @@ def printed_pattern_of(face: Face, square_px: float) -> PrintedPattern:
     ]
 
 
+@cache
 def charuco_layout(face: Face) -> Array:
-    """The markers' corners in the face frame by number, (m, 4, 2), metres."""
+    """The markers' corners in the face frame by number, (m, 4, 2), metres; not to be written to."""
     board = cv2.aruco.CharucoBoard(
         (face.columns, face.rows),
         face.square,
@@ -52,7 +53,9 @@ def charuco_layout(face: Face) -> Array:
     board.setLegacyPattern(face.legacy)
     corners = np.array(board.getObjPoints(), dtype=float).reshape(-1, 4, 3)
     # OpenCV's origin is the board's outer corner, the contract's is corner 0.
-    return corners[..., :2] - face.square
+    layout = corners[..., :2] - face.square
+    layout.flags.writeable = False
+    return layout
 
 
 @cache
@@ -142,10 +145,10 @@ def _draw_squares(texels: np.ndarray, face: Face, markers: Array, x: Array, y: A
     """Every other square dark, and none that holds a marker; lengths in squares."""
     column, row = np.floor(x).astype(int), np.floor(y).astype(int)
     light = np.floor(markers[0]).astype(int).sum() % 2 if len(markers) else 1
-    dark = (row[:, None] + column[None]) % 2 != light
-    dark &= ((row >= -1) & (row < face.rows - 1))[:, None]
-    dark &= ((column >= -1) & (column < face.columns - 1))[None]
-    texels[dark] = 0
+    dark = (row % 2 == 1)[:, None] ^ (column % 2 != light)[None]
+    dark[(row < -1) | (row >= face.rows - 1)] = False
+    dark[:, (column < -1) | (column >= face.columns - 1)] = False
+    np.copyto(texels, 0, where=dark)
 
 
 def _draw_marker(

@@ -14,7 +14,7 @@ from trigpoint.base.errors import InputError
 from trigpoint.edge.boards import detector_checkerboard, grid
 from trigpoint.edge.boards.tuning import TUNING
 from trigpoint.edge.detector import detector_for
-from trigpoint.edge.markers import marked_board, marked_search, marker_groups, quads
+from trigpoint.edge.markers import marked_board, marked_search, quads
 from trigpoint.edge.markers.detector_charuco import CharucoDetector
 from trigpoint.edge.registration.appearance import appearances
 from trigpoint.edge.tracker import TargetTracker
@@ -29,7 +29,7 @@ COSTLY: list[tuple[object, str]] = [
     (marked_board.MarkedBoard, "locate"),
     (marked_board, "measured"),
     (quads.QuadFinder, "find"),
-    (marker_groups, "_gathered"),
+    (marked_search, "group_markers"),
 ]
 
 
@@ -56,7 +56,7 @@ def test_work_is_bounded_whatever_the_picture(
         assert done["_measured"] <= looks * TUNING.most_grids, name
         # Two marked faces are looked for.
         assert done["locate"] <= 2 * marked_search.MOST_REFUSED + 2, name
-        assert done["_gathered"] <= 2 * marker_groups.MOST_SEEDS, name
+        assert done["group_markers"] <= 2 + 1, name  # tags also on their heads
 
 
 def test_no_picture_takes_longer_than_its_time(

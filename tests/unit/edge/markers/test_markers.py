@@ -5,9 +5,8 @@ import numpy as np
 import pytest
 from support.pictures.boards import charuco
 
-from trigpoint.edge.markers.marker_groups import group_markers
+from trigpoint.edge.markers.marker_groups import MOST_GROUPS, group_markers
 from trigpoint.edge.markers.markers import MarkerReader, Markers
-from trigpoint.edge.markers.quads import mapped, square_to_quads
 from trigpoint.edge.registration.printed_pattern import charuco_layout
 
 FACE = charuco(first=20)
@@ -43,10 +42,18 @@ def test_marker_of_another_board_scores_low() -> None:
     assert len(markers) == 0 or markers.scores[0] < 0.8
 
 
-def test_corners_of_the_square_go_to_those_of_the_quadrilateral() -> None:
-    quads = np.random.default_rng(0).normal(0, 0.1, (5, 4, 2)) + QUAD / 100
-    square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-    assert mapped(square_to_quads(quads), square) == pytest.approx(quads)
+def test_slanted_marker_is_read_where_its_cells_are() -> None:
+    slanted = np.array([[30.0, 20.0], [130.0, 40.0], [110.0, 120.0], [45.0, 140.0]])
+    turn = cv2.getPerspectiveTransform(QUAD.astype(np.float32), slanted.astype(np.float32))
+    shown = cv2.warpPerspective(picture(23), turn, (160, 160), borderValue=(220,))
+    markers = read(shown, slanted[None])
+    assert markers.numbers.tolist() == [3]
+    assert markers.scores[0] > 0.95
+
+
+@pytest.mark.parametrize("where", [np.nan, np.inf, 1e300, 1e5])
+def test_quadrilateral_that_is_nowhere_is_no_marker(where: float) -> None:
+    assert len(read(picture(23), np.full((1, 4, 2), where))) == 0
 
 
 def seen_at(offset: np.ndarray, numbers: list[int], scores: list[float], first: int) -> Markers:
@@ -78,3 +85,15 @@ def test_board_in_two_places_is_two_groups() -> None:
     right = seen_at(np.array([450.0, 200.0]), [0, 1, 5], [0.85, 0.8, 0.7], 5)
     groups = group_markers(joined(left, right), charuco_layout(FACE))
     assert sorted(sorted(group.quads.tolist()) for group in groups) == [[0, 1, 2], [5, 6, 7]]
+
+
+def test_number_that_the_face_does_not_have_is_refused() -> None:
+    other = Markers(np.array([99]), QUAD[None], np.array([0.9]), np.array([0]))
+    with pytest.raises(RuntimeError, match="no marker of that number"):
+        group_markers(other, charuco_layout(FACE))
+
+
+def test_more_boards_than_are_looked_for_are_left() -> None:
+    places = [np.array([300.0 * column, 300.0 * row]) for row in range(3) for column in range(4)]
+    boards = [seen_at(at, [0, 1, 2], [0.9, 0.8, 0.7], 3 * n) for n, at in enumerate(places)]
+    assert len(group_markers(joined(*boards), charuco_layout(FACE))) == MOST_GROUPS

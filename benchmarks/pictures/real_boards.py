@@ -1,0 +1,161 @@
+"""`python -m benchmarks real_boards`: first searches of real pictures, and of real and busy ones
+without a board, beside the finders of OpenCV, calib-targets and AprilTag: the median of
+milliseconds, and how many boards are found whole. Then what follows a first search."""
+
+import multiprocessing
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import cv2
+import numpy as np
+import typer
+
+from benchmarks.machine import machine
+from benchmarks.report import tell, write_report
+from benchmarks.table import Row
+from benchmarks.timing import worked
+from trigpoint.edge.tracker import TargetTracker
+from trigpoint.site.target import Face, Pattern, Target
+
+from .detection import OURS, Run, one_thread, our_finder, runs
+from .empty import empty_pictures
+from .opencv_finders import Finder, charuco_shared, checkerboards, checkerboards_by_sectors
+from .other_finders import charuco_by_calib_targets, chessboard_by_calib_targets, tags_by_apriltag
+from .photographs import backgrounds
+from .real_sets import SETS, PictureSet
+from .views import View, gallery
+
+_row = partial(Row, "real_boards")
+CLASSIC, SECTORS = "classic + sub-pixel", "sector finder, exhaustive"
+_SIZE = (640, 480)
+_BUSY = 40
+_FOLLOWED, _LENGTH, _SETTLED = 6, 8, 2
+_APART_NS = 30_000_000
+
+
+def main(
+    data: Annotated[Path, typer.Option(help="The folder with the sets.")] = Path("../shared/data"),
+    json: Annotated[Path, typer.Option(help="Where the rows are written.")] = Path(
+        "out/real_boards.json"
+    ),
+) -> None:
+    """First searches of real pictures, and what follows them, beside other finders."""
+    before, rows = machine(), list[Row]()
+    with one_thread():
+        for pictured in SETS:
+            rows += _set_rows(pictured, data)
+        rows += _empty_rows(SETS[0].face)
+        rows += [_followed_row(choice) for choice in ("charuco", "checkerboard")]
+        rows += _start_rows(data)
+    tell(rows)
+    write_report(json, rows, before, effort=1.0)
+
+
+def _set_rows(pictured: PictureSet, data: Path) -> list[Row]:
+    face = pictured.face
+    views = [View(picture, ()) for picture in pictured.pictures(data)]
+    if not views:
+        return []
+    others = _others(face)
+    done = runs({OURS: our_finder(_target(face)), **others}, views)
+    whole = {name: _found_whole(face, run) for name, run in done.items()}
+    rows = [_time_row(f"{pictured.name}: first search", done, name) for name in others]
+    what = f"{pictured.name}: found whole, of {len(views)}"
+    rows += [
+        _row(what, "boards", len(whole[OURS]), len(whole[name]), name, more_is_better=True)
+        for name in others
+    ]
+    union = set[int]().union(*(whole[name] for name in others))
+    return [*rows, _row(what, "boards", len(whole[OURS]), len(union), "any", more_is_better=True)]
+
+
+def _empty_rows(face: Face) -> list[Row]:
+    """Photographs, and drawn pictures of all that looks like a board, without one."""
+    kinds = {
+        "photographs": [cv2.resize(picture, _SIZE) for picture in backgrounds()],
+        "busy, drawn": list(empty_pictures(_BUSY)),
+    }
+    finders = {OURS: our_finder(_target(face)), CLASSIC: checkerboards([face])}
+    rows = []
+    for kind, pictures in kinds.items():
+        done = runs(finders, [View(picture, ()) for picture in pictures])
+        rows.append(_time_row(f"no board, 640 x 480, {kind}", done, CLASSIC))
+    return rows
+
+
+def _followed_row(choice: str) -> Row:
+    """Two faces of the lab's target, followed through their drive; pictures come so fast that none
+    of them is searched for others."""
+    pictures, took = gallery(choice), list[float]()
+    for sequence in pictures.sequences(_FOLLOWED, _LENGTH):
+        tracker = TargetTracker([pictures.target])
+        for number, (_, view) in enumerate(sequence):
+            stamp_ns = 1 + number * _APART_NS
+            seconds, found = worked(lambda t=tracker, v=view, s=stamp_ns: t.detect(v.picture, s))
+            if number >= _SETTLED and len(found) == 2:
+                took.append(1e3 * seconds)
+    return _row(f"two faces followed, {choice}, 640 x 480", "ms", _median(took), 1.0, "the goal")
+
+
+def _start_rows(data: Path) -> list[Row]:
+    """The first picture that a process searches, and the next, in processes of their own."""
+    chosen = {pictured.face.pattern: pictured for pictured in SETS}
+    rows = []
+    for pattern, pictured in chosen.items():
+        picture = next(pictured.pictures(data), None)
+        if picture is None:
+            continue
+        context = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(1, mp_context=context) as pool:
+            first, following = pool.submit(_first_two, pictured.face, picture).result()
+        what = f"first picture after the start, {pattern.value}"
+        rows.append(_row(what, "ms", 1e3 * first, 1e3 * following, "the next"))
+    return rows
+
+
+def _first_two(face: Face, picture: np.ndarray) -> tuple[float, float]:
+    with one_thread():
+        find = our_finder(_target(face))
+        return worked(lambda: find(picture))[0], worked(lambda: find(picture))[0]
+
+
+def _others(face: Face) -> dict[str, Finder]:
+    if face.pattern is Pattern.CHARUCO:
+        opencv = _of_inverted(face, charuco_shared([face]))
+        return {"OpenCV's markers": opencv, "calib-targets": charuco_by_calib_targets(face)}
+    if face.pattern is Pattern.APRILGRID:
+        return {"AprilTag": tags_by_apriltag(face)}
+    return {
+        CLASSIC: checkerboards([face]),
+        SECTORS: checkerboards_by_sectors([face]),
+        "calib-targets": chessboard_by_calib_targets(face),
+    }
+
+
+def _of_inverted(face: Face, find: Finder) -> Finder:
+    return (lambda picture: find(cv2.bitwise_not(picture))) if face.inverted else find
+
+
+def _found_whole(face: Face, run: Run) -> set[int]:
+    """In which pictures all corners of a board were found."""
+    return {
+        number
+        for number, answer in enumerate(run.answers)
+        if any(len(found.corners) == face.corner_count for found in answer)
+    }
+
+
+def _target(face: Face) -> Target:
+    return Target("board", (face,))
+
+
+def _time_row(what: str, done: Mapping[str, Run], other: str) -> Row:
+    ours, theirs = (1e3 * _median(done[name].seconds) for name in (OURS, other))
+    return _row(what, "ms", ours, theirs, other)
+
+
+def _median(values: Sequence[float]) -> float:
+    return float(np.median(values)) if values else np.nan

@@ -1,0 +1,95 @@
+"""Sets of real pictures with a board each: others', which are not part of the project."""
+
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
+
+import cv2
+import numpy as np
+from msgspec import Struct
+
+from trigpoint.edge.image.picture import as_grey
+from trigpoint.edge.sources.frames_video import Video
+from trigpoint.edge.sources.picture_files import listed_pictures, read_picture
+from trigpoint.site.target import NOWHERE, Face, Numbering, Pattern
+
+
+class PictureSet(Struct, frozen=True):
+    """Pictures, or videos, of one board in a folder. `every`: one in so many is shown; `times`: so
+    many times smaller."""
+
+    name: str
+    folder: str
+    face: Face
+    every: int = 1
+    times: int = 1
+
+    def pictures(self, data: Path) -> Iterator[np.ndarray]:
+        """Grey ones, (h, w) uint8; none where the folder is not there."""
+        folder = data / self.folder
+        shown = _all_in(folder) if folder.is_dir() else iter(())
+        for picture in islice(shown, None, None, self.every):
+            height, width = picture.shape
+            size = (width // self.times, height // self.times)
+            yield cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+
+
+def _all_in(folder: Path) -> Iterator[np.ndarray]:
+    for file in listed_pictures(folder):
+        yield as_grey(read_picture(file))
+    for file in sorted(folder.glob("*.mp4")):
+        video = Video(file)
+        while video.advance() is not None:
+            picture = video.picture()
+            if picture is not None:
+                yield as_grey(picture)
+        video.close()
+
+
+def _checkerboard(columns: int, rows: int) -> Face:
+    return Face(0, Pattern.CHECKERBOARD, columns, rows, 0.03, *NOWHERE)
+
+
+_ARM = Face(
+    0,
+    Pattern.CHARUCO,
+    5,
+    7,
+    0.036195,
+    *NOWHERE,
+    marker=0.018256,
+    dictionary="DICT_6X6_250",
+)
+_VIDEO = Face(
+    0,
+    Pattern.CHARUCO,
+    4,
+    5,
+    0.054,
+    *NOWHERE,
+    marker=0.0405,
+    dictionary="DICT_4X4_1000",
+    inverted=True,
+)
+_SCREEN = Face(
+    0,
+    Pattern.APRILGRID,
+    6,
+    6,
+    0.1144,
+    *NOWHERE,
+    marker=0.088,
+    dictionary="DICT_APRILTAG_36h11",
+    border_bits=2,
+    numbering=Numbering.KALIBR,
+)
+SETS = (
+    PictureSet("udacity, 1280 x 720", "boards/udacity", _checkerboard(10, 7)),
+    PictureSet("gopro, 1280 x 960", "boards/gopro", _checkerboard(9, 7), every=2),
+    PictureSet("camodocal, 1280 x 960", "boards/camodocal", _checkerboard(10, 7), every=3),
+    PictureSet("camodocal, 640 x 480", "boards/camodocal", _checkerboard(10, 7), every=3, times=2),
+    PictureSet("pjlab, 1920 x 1200", "boards/pjlab", _checkerboard(8, 18), every=2),
+    PictureSet("charuco-arm, 1600 x 1200", "charuco-arm", _ARM),
+    PictureSet("charuco-video, 1280 x 720", "charuco-video", _VIDEO, every=9),
+    PictureSet("aprilgrid, 3072 x 4080", "boards/aprilgrid", _SCREEN),
+)
