@@ -81,7 +81,8 @@ class MarkerReader:
 
         In turn k the marker's top left is the quad's corner k.
         """
-        return (_cells(grey, quads, self._centres) @ self._templates).reshape(len(quads), -1, 4)
+        scores = _cells(grey, quads, self._centres) @ self._templates
+        return scores.reshape(len(quads), len(self._row), 4)
 
     def codes(self, grey: np.ndarray, quads: Array) -> Array:
         """Correlation (n, markers) of upright quads (n, 4, 2) with what is within each marker's

@@ -19,7 +19,6 @@ from trigpoint.geometry.rotation import Array
 from trigpoint.site.target import Face, Numbering, Pattern
 
 from .markers import Markers
-from .quads import mapped
 
 # Boards have hardly more columns or rows.
 _MOST = 24
@@ -144,7 +143,8 @@ def _agreeing(layout: Array, corners: Array) -> tuple[Array | None, np.ndarray]:
 
 def _as_seen(face: Face, numbers: np.ndarray, corners: Array, fit: Array) -> Face:
     """The face with the rows that are seen, and markers as large as they are seen."""
-    back = mapped(np.linalg.inv(fit)[None], corners.reshape(-1, 2)).reshape(-1, 4, 2)
+    there = corners.reshape(1, -1, 2).astype(float)
+    back = cv2.perspectiveTransform(there, np.linalg.inv(fit)).reshape(-1, 4, 2)
     side = float(np.median(np.linalg.norm(back[:, 2] - back[:, 0], axis=-1) / np.sqrt(2)))
     told = face.marker or 0.0
     is_other = abs(side - told) > _MARKER_SHARE * told and side < face.square
