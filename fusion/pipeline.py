@@ -111,11 +111,7 @@ class Pipeline:
     def notes(self) -> list[str]:
         """What a user should know of the session, as text: each event (at most the last hundred),
         the last problem with messages for each reason, what they lacked, and what is in doubt."""
-        arrivals = self.arrivals
-        return [
-            *(*self._events.texts, *self.problems.values()),
-            *(*arrivals.mended, *arrivals.doubts),
-        ]
+        return [*self._events.texts, *self.problems.values(), *self.arrivals.notes]
 
     @property
     def stale_ns(self) -> dict[str, int]:

@@ -77,6 +77,11 @@ class Arrivals:
             self.seen[node] = span.with_stamp(stamp_ns) if span else Span(stamp_ns, stamp_ns)
 
     @property
+    def notes(self) -> list[str]:
+        """What a user should know of it, as text."""
+        return [*self.mended, *self.doubts]
+
+    @property
     def mended(self) -> list[str]:
         """What messages lacked, and what was taken in its place."""
         found = self._mended.items()
