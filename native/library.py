@@ -143,6 +143,9 @@ class Handle:
         self.address = made.value
         finalize(self, _function(f"{self.name}_free"), made, None)
 
+    def __reduce__(self) -> tuple[object, ...]:
+        raise TypeError(f"{self.name} is the core's, in this process: it is not copied or sent")
+
 
 _MAKE = "run `make core` in a checkout, or install Trigpoint again"
 

@@ -16,7 +16,7 @@ OBJECTS = {
         *("tp_reduced", "tp_full_system"),
     ),
     "tp_factor": ("tp_graph_minimum", "tp_factor_covariance", "tp_agreement"),
-    "tp_rest": ("tp_rest_added", "tp_odometry_added"),
+    "tp_rest": ("tp_rest_added", "tp_odometry_added", "tp_rest_saved", "tp_rest_restored"),
     "tp_pattern": ("tp_pattern_set", "tp_pattern_print", "tp_measured"),
 }
 

@@ -19,7 +19,7 @@ RECENT_S = 2.0
 
 class Rest(Handle):
     """One robot's reported poses, in order. `trembles`: whether it stands, and its readings show
-    noise."""
+    noise, as far as `add` was told. It can be copied, and sent to another process."""
 
     name = "tp_rest"
 
@@ -27,6 +27,11 @@ class Rest(Handle):
         """`planar`: whether poses are projected into the plane: position and heading."""
         super().__init__()
         self.planar, self.trembles = planar, False
+
+    def __reduce__(self) -> tuple[object, ...]:
+        cells = np.zeros(_SAVED(self, np.zeros(0, _WHOLE)), _WHOLE)
+        _SAVED(self, cells)
+        return _restored, (self.planar, self.trembles, cells)
 
     def add(self, stamp_ns: int, pose: Pose) -> Pose:
         """The pose of a reading, in a frame in which noise at rest has not moved the robot; stamps
@@ -48,7 +53,7 @@ class Rest(Handle):
         return reported, is_still, length_m, angle_rad
 
 
-_REAL = np.float64
+_REAL, _WHOLE = np.float64, np.int64
 _POSE = In(_REAL, (3, 3)), In(_REAL, (3,))
 _FOUND = Out(_REAL, (3, 3)), Out(_REAL, (3,))
 _ADDED = Kernel("tp_rest_added", Rest, int, int, *_POSE, *_FOUND)
@@ -56,6 +61,16 @@ _ADDED_TO_TRACK = Kernel(
     *("tp_odometry_added", Rest, int, int, *_POSE, *_FOUND, int),
     *(Out(_REAL, ("n", 3, 3)), Out(_REAL, ("n", 3)), Out(_REAL, ("n", 6)), Out(_REAL, (2,))),
 )
+
+_SAVED = Kernel("tp_rest_saved", Rest, Out(_WHOLE, ("n",)))
+_RESTORED = Kernel("tp_rest_restored", Rest, In(_WHOLE, ("n",)))
+
+
+def _restored(planar: bool, trembles: bool, cells: np.ndarray) -> Rest:
+    rest = Rest(planar=planar)
+    rest.trembles = trembles
+    _RESTORED(rest, np.ascontiguousarray(cells))
+    return rest
 
 
 def _parts(pose: Pose) -> tuple[Array, Array]:

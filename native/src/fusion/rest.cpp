@@ -2,9 +2,11 @@
 // motion from one message to the next. `rest.py` says how it is told that a robot stands.
 #include <algorithm>
 #include <cmath>
+#include <cstring>
 #include <deque>
 #include <optional>
 #include <stdexcept>
+#include <vector>
 
 #include "border.hpp"
 #include "fusion/motion.hpp"
@@ -47,6 +49,55 @@ struct Reading {
     Apart step;
 };
 
+// What a rest holds, written one value after the other or read again; floats by their bits.
+class Cells {
+public:
+    std::vector<std::int64_t> values;
+    std::size_t next = 0;  // to be read
+    bool is_read = false;
+
+    void pass(std::int64_t& value) {
+        if (!is_read) return values.push_back(value);
+        if (next >= values.size()) throw std::invalid_argument("a rest that is cut off");
+        value = values[next++];
+    }
+    void pass(double& value) {
+        std::int64_t bits;
+        std::memcpy(&bits, &value, sizeof bits);
+        pass(bits);
+        std::memcpy(&value, &bits, sizeof bits);
+    }
+    void pass(Apart& apart) {
+        pass(apart.place);
+        pass(apart.turn);
+    }
+    void pass(Pose& pose) {
+        for (Eigen::Index k = 0; k < 9; ++k) pass(pose.rotation(k));
+        for (Eigen::Index k = 0; k < 3; ++k) pass(pose.translation(k));
+    }
+    void pass(Reading& reading) {
+        pass(reading.stamp_ns);
+        pass(reading.pose);
+        pass(reading.step);
+    }
+    template <class Value>
+    void pass(std::optional<Value>& value) {
+        std::int64_t is_there = value.has_value();
+        pass(is_there);
+        if (is_read) value.reset();
+        if (is_read && is_there) value.emplace();
+        if (value) pass(*value);
+    }
+    void pass(std::deque<Reading>& readings) {
+        std::int64_t count = static_cast<std::int64_t>(readings.size());
+        pass(count);
+        if (is_read && (count < 0 || count > static_cast<std::int64_t>(values.size() - next)))
+            throw std::invalid_argument("a rest that is cut off");
+        readings.resize(static_cast<std::size_t>(count));
+        for (Reading& reading : readings) pass(reading);
+    }
+};
+
 // The pose projected into the plane: position and heading.
 Pose in_plane(const Pose& pose) {
     const double forward = pose.rotation(0, 0), left = pose.rotation(1, 0),
@@ -84,6 +135,16 @@ public:
         return found;
     }
 
+    // Writes all that it holds into cells, or takes it from there.
+    void pass(Cells& cells) {
+        cells.pass(recent_);
+        cells.pass(anchor_);
+        cells.pass(held_);
+        cells.pass(noise_);
+        cells.pass(frame_);
+        cells.pass(interval_ns_);
+    }
+
 private:
     // The reading, after those of the same rest or drive that are recent.
     Reading read(std::int64_t stamp_ns, const Pose& pose) {
@@ -108,8 +169,8 @@ private:
         const Reading& first = recent_.front();
         const double creep =
             BIAS * SECONDS * static_cast<double>(reading.stamp_ns - first.stamp_ns);
-        return Apart(reading.pose, anchor.pose).place > noise_.place ||
-               Apart(reading.pose, first.pose).turn > noise_.turn + creep;
+        return !(Apart(reading.pose, anchor.pose).place <= noise_.place &&
+                 Apart(reading.pose, first.pose).turn <= noise_.turn + creep);
     }
 
     // Goes on from where the robot stood. Whatever led away from there was motion; of the turn,
@@ -127,7 +188,7 @@ private:
         const Reading &first = recent_.front(), &last = recent_.back();
         const double seconds = SECONDS * static_cast<double>(last.stamp_ns - first.stamp_ns);
         const Apart span(last.pose, first.pose);
-        if (span.place > MOST_PLACE || span.turn > MOST_TURN + BIAS * seconds) return {};
+        if (!(span.place <= MOST_PLACE && span.turn <= MOST_TURN + BIAS * seconds)) return {};
         if (recent_.size() < LEAST_READINGS || seconds < SECONDS * RECENT_NS / 2) return {};
         // The first and the last steps may be those of a drive, and then say nothing of noise.
         const std::ptrdiff_t quarter = static_cast<std::ptrdiff_t>(recent_.size() / 4);
@@ -142,14 +203,14 @@ private:
         const double creep = noise.turn > 0 ? BIAS * seconds : 0;
         for (const Reading& each : recent_) {
             const Apart apart(each.pose, first.pose);
-            if (apart.place > noise.place || apart.turn > noise.turn + creep) return {};
+            if (!(apart.place <= noise.place && apart.turn <= noise.turn + creep)) return {};
         }
         return noise;
     }
 
     std::deque<Reading> recent_;
     std::optional<Reading> anchor_;  // where it came to rest, while it stands
-    Pose held_{};
+    Pose held_{Eigen::Matrix3d::Identity(), Eigen::Vector3d::Zero()};
     Apart noise_;
     std::optional<Pose> frame_;  // of the robot's odometry, in ours
     std::int64_t interval_ns_ = 0;
@@ -223,4 +284,24 @@ TRIGPOINT_KERNEL(tp_odometry_added) {
     measures[0] = step.length;
     measures[1] = step.angle;
     return (step.twist.array().abs() < STILL).all();
+}
+
+// (the rest, cells (n,)): how many cells hold it; they are written where they suffice.
+TRIGPOINT_KERNEL(tp_rest_saved) {
+    Cells cells;
+    static_cast<Rest*>(arguments[0].object)->pass(cells);
+    const auto count = static_cast<std::int64_t>(cells.values.size());
+    if (arguments[1].array.shape[0] >= count)
+        std::copy(cells.values.begin(), cells.values.end(), arguments[1].array.as<std::int64_t>());
+    return count;
+}
+
+// (the rest, cells (n,) as they were saved): 0; it goes on from there.
+TRIGPOINT_KERNEL(tp_rest_restored) {
+    const auto* values = arguments[1].array.as<std::int64_t>();
+    Cells cells{{values, values + arguments[1].array.shape[0]}, 0, true};
+    Rest rest;
+    rest.pass(cells);
+    *static_cast<Rest*>(arguments[0].object) = rest;
+    return 0;
 }

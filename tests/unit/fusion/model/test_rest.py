@@ -1,6 +1,8 @@
 """Odometry of robots that stand: encoders, gyroscopes that creep, fused poses that tremble."""
 
+import copy
 import math
+import pickle
 from dataclasses import dataclass
 
 import numpy as np
@@ -147,3 +149,21 @@ def test_the_map_is_told_by_what_the_robot_reports_now() -> None:
     track = parked(noise, 300)
     assert abs(heading(track.odom_from_base[-1]) - 0.3) < 0.02
     assert abs(heading(track.reported) - 0.6) < 0.02
+
+
+def test_a_copy_goes_on_by_itself() -> None:
+    """Tracks are sent to the process that solves, and copied with all else of an estimator."""
+    poses = reported([(0.0, 0.0, 0.0)] * 300 + drive(50), 50, Noise(place=1e-3, jitter=1e-4), 2)
+    rest = Rest(planar=True)
+    for k, pose in enumerate(poses[:200]):
+        rest.add(k * S // 50, pose)
+    copies = [copy.deepcopy(rest), pickle.loads(pickle.dumps(rest))]
+    assert rest.trembles
+    for each in (*copies, rest):  # one after the other, so that none could move another
+        assert each.trembles
+    told = [
+        [each.add(k * S // 50, pose).rows() for k, pose in enumerate(poses[200:], start=200)]
+        for each in (*copies, rest)
+    ]
+    assert np.array_equal(told[0], told[1])
+    assert np.array_equal(told[0], told[2])
