@@ -23,7 +23,6 @@ import typer
 from msgspec import Struct, field
 from msgspec.structs import replace
 
-from benchmarks.report import tell
 from benchmarks.table import Row
 from benchmarks.timing import resident_mb, worked_s
 from trigpoint.base.clock import SystemClock, to_ns, to_seconds
@@ -279,9 +278,9 @@ def main(
         list[str] | None, typer.Argument(metavar="[NAME]…", help=f"Of {', '.join(LOADS)}.")
     ] = None,
     minutes: Annotated[float | None, typer.Option(help="Of driving, if others.")] = None,
-) -> None:
+) -> list[Row]:
     """Drive round a corridor, and say what it costs."""
     if unknown := [name for name in names or [] if name not in LOADS]:
         raise typer.BadParameter(f"no load «{unknown[0]}»; choose of {', '.join(LOADS)}")
-    for name in names or ["short"]:
-        tell(measured(name, minutes=minutes, tells=True))
+    chosen = names or ["short"]
+    return [row for name in chosen for row in measured(name, minutes=minutes, tells=True)]

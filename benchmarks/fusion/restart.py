@@ -19,7 +19,6 @@ from typing import Annotated
 
 import typer
 
-from benchmarks.report import tell
 from benchmarks.table import Row
 from trigpoint.base.clock import SystemClock
 from trigpoint.contract import cdr
@@ -41,11 +40,11 @@ _POLL_S, _ANSWER_S, _PATIENCE_S = 0.01, 60.0, 900.0
 
 def main(
     minutes: Annotated[float, typer.Option(help="Of driving: 33 are some 41,000 messages.")] = 33.5,
-) -> None:
+) -> list[Row]:
     """Start fusion again on a checkpoint, without and with its last solution."""
     corridor = Corridor(_CAMERAS, 60 * minutes, pictures_hz=1.0)
     with TemporaryDirectory() as folder:
-        tell(list(_rows(corridor, Path(folder))))
+        return list(_rows(corridor, Path(folder)))
 
 
 def _rows(corridor: Corridor, folder: Path) -> Iterator[Row]:

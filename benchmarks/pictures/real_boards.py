@@ -13,8 +13,6 @@ import cv2
 import numpy as np
 import typer
 
-from benchmarks.machine import machine
-from benchmarks.report import tell, write_report
 from benchmarks.table import Row
 from benchmarks.timing import worked
 from trigpoint.edge.tracker import TargetTracker
@@ -38,20 +36,13 @@ _APART_NS = 30_000_000
 
 def main(
     data: Annotated[Path, typer.Option(help="The folder with the sets.")] = Path("../shared/data"),
-    json: Annotated[Path, typer.Option(help="Where the rows are written.")] = Path(
-        "out/real_boards.json"
-    ),
-) -> None:
+) -> list[Row]:
     """First searches of real pictures, and what follows them, beside other finders."""
-    before, rows = machine(), list[Row]()
     with one_thread():
-        for pictured in SETS:
-            rows += _set_rows(pictured, data)
+        rows = [row for pictured in SETS for row in _set_rows(pictured, data)]
         rows += _empty_rows(SETS[0].face)
         rows += [_followed_row(choice) for choice in ("charuco", "checkerboard")]
-        rows += _start_rows(data)
-    tell(rows)
-    write_report(json, rows, before, effort=1.0)
+        return rows + _start_rows(data)
 
 
 def _set_rows(pictured: PictureSet, data: Path) -> list[Row]:
