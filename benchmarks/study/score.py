@@ -7,19 +7,18 @@ import subprocess
 import sys
 import tempfile
 import threading
-from enum import StrEnum
 from pathlib import Path
 
-import msgspec
 import numpy as np
 
+from benchmarks.compositions.files import write_composition
+from benchmarks.compositions.session import Composition, composed_session
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.map.network import CameraRecord, Network, load_covariance, load_network
 from trigpoint.tools.networks.truth import joint_error
 
-from .files import write_composition
-from .session import Composition, composed_session
+from .result import Camera, Outcome, Result, Verdict
 
 # A located camera is wrong where its position is further off than so many of its own sigmas; or
 # than so many metres and a smaller number of sigmas.
@@ -30,73 +29,7 @@ GOAL_S, GOAL_SHARE = 10.0, 0.1  # of processor time: so much, and a share of the
 _PATIENCE = 8.0
 
 
-class Outcome(StrEnum):
-    """What came of a session."""
-
-    DONE = "done"
-    LATE = "late"
-    FAILED = "failed"
-
-
-class CameraScore(msgspec.Struct, frozen=True):
-    """One camera. `status`: as in network.json, "" where there is none; `pictures`: with a good
-    sighting of where it hung at last; `is_confirmed`: not resting on one sighting alone; `error_m`,
-    `sigmas`: of its position where it is located; `among`: whether the true place is among the
-    alternatives where such are named."""
-
-    name: str
-    status: str
-    pictures: int
-    is_confirmed: bool = True
-    error_m: float | None = None
-    sigmas: float | None = None
-    among: bool | None = None
-
-    @property
-    def is_located(self) -> bool:
-        return self.status == "located"
-
-    @property
-    def is_wrong(self) -> bool:
-        """Whether it is located elsewhere than where it says."""
-        if self.error_m is None or self.sigmas is None:
-            return False
-        is_far = self.error_m > WRONG_M and self.sigmas > WRONG_M_SIGMAS
-        return self.sigmas > WRONG_SIGMAS or is_far
-
-
-class Score(msgspec.Struct, frozen=True, tag=True):
-    """One session. `honesty`: eᵀP⁻¹e/6n over the located cameras, None where none is or one is
-    wrong; `seconds`: processor time; `lasts_s`: the session's length; `lifts`: of robots;
-    `why`: it failed."""
-
-    situation: str
-    seed: int
-    is_alike: bool
-    is_mismatched: bool
-    lifts: int
-    outcome: Outcome
-    seconds: float
-    lasts_s: float
-    cameras: list[CameraScore] = msgspec.field(default_factory=list)
-    honesty: float | None = None
-    why: str = ""
-    estimator: str = "smoother"
-
-    @property
-    def wrong(self) -> list[CameraScore]:
-        return [camera for camera in self.cameras if camera.is_wrong]
-
-    @property
-    def is_over_time(self) -> bool:
-        return self.seconds > GOAL_S + GOAL_SHARE * self.lasts_s
-
-    @property
-    def is_bad(self) -> bool:
-        return bool(self.wrong) or self.outcome is not Outcome.DONE
-
-
-def scored(kind: str, seed: int, *, limit_s: float = 120.0) -> Score:
+def scored(kind: str, seed: int, *, limit_s: float = 120.0) -> Result:
     """Draw a session, let `calibrate` work it out within a limit of processor time, judge it."""
     session = composed_session(kind, seed)
     with tempfile.TemporaryDirectory() as folder:
@@ -106,7 +39,9 @@ def scored(kind: str, seed: int, *, limit_s: float = 120.0) -> Score:
         return score_of(session, out, code, seconds, said)
 
 
-def score_of(session: Composition, out: Path, code: int | None, seconds: float, said: str) -> Score:
+def score_of(
+    session: Composition, out: Path, code: int | None, seconds: float, said: str
+) -> Result:
     """The score of what `calibrate` left in `out`. `code`: its exit status, None where the time was
     over; `said`: its standard error."""
     recipe = session.recipe
@@ -123,20 +58,20 @@ def score_of(session: Composition, out: Path, code: int | None, seconds: float, 
         _camera(name, said_of.get(name), place, pictures[name]) for name, place in places.items()
     ]
     honesty = None
-    if network is not None and not any(camera.is_wrong for camera in cameras):
+    if network is not None and not any(camera.verdict is Verdict.WRONG for camera in cameras):
         honesty = _honesty(out, network, places)
-    return Score(
-        situation=recipe.kind,
+    return Result(
+        session=recipe.kind,
         seed=recipe.seed,
+        seconds=seconds,
+        cameras=cameras,
+        honesty=honesty,
+        outcome=outcome,
+        why=why,
         is_alike=recipe.is_alike,
         is_mismatched=recipe.is_mismatched,
         lifts=recipe.lifts,
-        outcome=outcome,
-        seconds=seconds,
         lasts_s=session.lasts_s,
-        cameras=cameras,
-        honesty=honesty,
-        why=why,
     )
 
 
@@ -172,12 +107,20 @@ def _calibrated(directory: Path, out: Path, limit_s: float) -> tuple[int | None,
         return (None if by_limit or waited_out.is_set() else code), seconds, said.read()
 
 
-def _camera(name: str, said: CameraRecord | None, place: Pose, pictures: int) -> CameraScore:
+def _camera(name: str, said: CameraRecord | None, place: Pose, pictures: int) -> Camera:
     if said is None or said.map_from_camera is None:
-        return CameraScore(name, said.status if said else "", pictures, among=_among(said, place))
+        return Camera(name, Verdict.UNKNOWN, pictures=pictures, among=_among(said, place))
     error = said.map_from_camera.pose.difference(place)[:3]
-    sigmas, length = _sigmas(error, said.covariance_matrix), float(np.linalg.norm(error))
-    return CameraScore(name, said.status, pictures, said.confirmed, length, sigmas)
+    sigmas, error_m = _sigmas(error, said.covariance_matrix), float(np.linalg.norm(error))
+    is_far = error_m > WRONG_M and sigmas > WRONG_M_SIGMAS
+    return Camera(
+        name,
+        Verdict.WRONG if is_far or sigmas > WRONG_SIGMAS else Verdict.RIGHT,
+        pictures=pictures,
+        is_confirmed=said.confirmed,
+        error_m=error_m,
+        sigmas=sigmas,
+    )
 
 
 def _among(said: CameraRecord | None, place: Pose) -> bool | None:
