@@ -112,7 +112,9 @@ def _python(system: Path) -> list[str]:
 
 def _packages(python: list[str], dist: Path, packages: Path) -> Path:
     """The folder with the wheel and what it depends on, fresh."""
-    [wheel] = dist.glob(f"*_{_MACHINE}.whl")
+    wheel = next(iter(sorted(dist.glob(f"*_{_MACHINE}.whl"))), None)
+    if wheel is None:
+        sys.exit(f"arm: no wheel for {_MACHINE} in {dist}; say make wheels")
     version = _run([*python, "-c", "import platform; print(platform.python_version())"])
     platforms = [f"--platform=manylinux_2_{n}_{_MACHINE}" for n in range(_OLDEST, _NEWEST)]
     shutil.rmtree(packages, ignore_errors=True)

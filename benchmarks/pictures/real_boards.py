@@ -40,7 +40,7 @@ def main(
     """First searches of real pictures, and what follows them, beside other finders."""
     with one_thread():
         rows = [row for pictured in SETS for row in _set_rows(pictured, data)]
-        rows += _empty_rows(SETS[0].face)
+        rows += _empty_rows()
         rows += [_followed_row(choice) for choice in ("charuco", "checkerboard")]
         return rows + _start_rows(data)
 
@@ -63,17 +63,21 @@ def _set_rows(pictured: PictureSet, data: Path) -> list[Row]:
     return [*rows, _row(what, "boards", len(whole[OURS]), len(union), "any", more_is_better=True)]
 
 
-def _empty_rows(face: Face) -> list[Row]:
-    """Photographs, and drawn pictures of all that looks like a board, without one."""
+def _empty_rows() -> list[Row]:
+    """Photographs, and drawn pictures of all that looks like a board, without one: in most of them
+    boards are no longer looked for that the target file may mean."""
     kinds = {
         "photographs": [cv2.resize(picture, _SIZE) for picture in backgrounds()],
         "busy, drawn": list(empty_pictures(_BUSY)),
     }
-    finders = {OURS: our_finder(_target(face)), CLASSIC: checkerboards([face])}
     rows = []
-    for kind, pictures in kinds.items():
-        done = runs(finders, [View(picture, ()) for picture in pictures])
-        rows.append(_time_row(f"no board, 640 x 480, {kind}", done, CLASSIC))
+    for pattern in (Pattern.CHECKERBOARD, Pattern.CHARUCO):
+        face = next(pictured.face for pictured in SETS if pictured.face.pattern is pattern)
+        other, find = next(iter(_others(face).items()))
+        for kind, pictures in kinds.items():
+            finders = {OURS: our_finder(_target(face)), other: find}
+            done = runs(finders, [View(picture, ()) for picture in pictures])
+            rows.append(_time_row(f"no {pattern.value}, 640 x 480, {kind}", done, other))
     return rows
 
 
@@ -93,7 +97,7 @@ def _followed_row(choice: str) -> Row:
 
 def _start_rows(data: Path) -> list[Row]:
     """The first picture that a process searches, and the next, in processes of their own."""
-    chosen = {pictured.face.pattern: pictured for pictured in SETS}
+    chosen = {pictured.face.pattern: pictured for pictured in reversed(SETS)}
     rows = []
     for pattern, pictured in chosen.items():
         picture = next(pictured.pictures(data), None)

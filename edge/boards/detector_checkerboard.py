@@ -106,7 +106,7 @@ class CheckerboardDetector(FaceFinder):
         if search.take(small) < self._least or is_over():
             return []
         found: list[Located] = []
-        joined = search.grids()[: TUNING.most_grids]
+        joined = search.grids(TUNING.most_grids)
         waiting = deque(grid for grid in joined if len(grid) <= self._most)
         for _ in range(TUNING.most_grids):
             if not waiting or is_over():

@@ -81,10 +81,10 @@ class GridSearch:
         """Look at a grey picture, (height, width) uint8; how many X corners it has."""
         return _SADDLES(self._curvature, np.ascontiguousarray(grey))
 
-    def grids(self) -> list[Grid]:
-        """All grids of enough corners in the last picture, the largest first."""
+    def grids(self, most: int | None = None) -> list[Grid]:
+        """The grids of enough corners in the last picture, the largest first; all, or `most`."""
         count = _GRIDS(self._curvature, self._rows, self._sizes)
-        ends = np.cumsum(self._sizes[:count]).astype(int)
+        ends = np.cumsum(self._sizes[:count]).astype(int)[:most]
         return [Grid.of(rows) for rows in np.split(self._rows, ends)[:-1]]
 
     def grown(self, grid: Grid, longest: int) -> Grid:

@@ -7,12 +7,13 @@ from trigpoint.fusion.estimators.residuals import CameraResiduals
 from trigpoint.geometry.rotation import Array
 
 from .axes import Axes
-from .svg import circle, drawing, element, group, largest_factor, line, polyline
+from .svg import drawing, element, group, largest_factor, lines, polyline
 
 _WIDTH = 480.0
 _COLUMNS, _ROWS = 16, 12
 _MOST_VECTORS, _MOST_WILD = 160, 80
 _LONGEST = 20.0  # of an ordinary residual, in the drawing
+_CROSS = 3.0 * np.array([[[-1, -1], [1, 1]], [[-1, 1], [1, -1]]])
 _BARS, _REACH = 33, 4.125  # sigmas: the middle bar lies around 0
 
 
@@ -29,13 +30,10 @@ def picture_drawing(
     used = np.flatnonzero(residuals.used)
     shown = _spread(used, _MOST_VECTORS)
     factor = _magnification(residuals.residual_px[used], scale)
-    vectors = [
-        _vector(residuals.pixels[i], factor * residuals.residual_px[i], scale) for i in shown
-    ]
-    wild = [
-        _cross(residuals.pixels[i], scale)
-        for i in _spread(np.flatnonzero(~residuals.used), _MOST_WILD)
-    ]
+    places = (residuals.pixels + 0.5) * scale
+    begins = places[shown]
+    vectors = np.stack([begins, begins + factor * scale * residuals.residual_px[shown]], axis=1)
+    wild = places[_spread(np.flatnonzero(~residuals.used), _MOST_WILD)]
     frame = element(
         "rect", x=0.5, y=0.5, width=_WIDTH - 1, height=height * scale - 1, class_="picture"
     )
@@ -44,8 +42,9 @@ def picture_drawing(
         height * scale,
         frame,
         _shade(residuals, width, height, scale),
-        group(*vectors, class_="residuals"),
-        group(*wild, class_="wild"),
+        lines(vectors, class_="residuals"),
+        lines(np.stack([begins, begins], axis=1), class_="corners"),
+        lines(wild[:, None, None] + _CROSS, class_="wild"),
         label=f"The picture of camera {name} with its residuals",
     )
     count = f"{len(shown)} of " if len(shown) < len(used) else ""
@@ -112,17 +111,6 @@ def _magnification(residual_px: Array, scale: float) -> int:
         return 1
     ordinary = float(np.quantile(np.linalg.norm(residual_px, axis=1), 0.9)) * scale
     return largest_factor(ordinary, _LONGEST)
-
-
-def _vector(pixel: Array, residual: Array, scale: float) -> str:
-    x, y = (pixel + 0.5) * scale
-    end_x, end_y = (pixel + 0.5 + residual) * scale
-    return line(x, y, end_x, end_y) + circle(x, y, 1.3)
-
-
-def _cross(pixel: Array, scale: float) -> str:
-    x, y = (pixel + 0.5) * scale
-    return line(x - 3, y - 3, x + 3, y + 3) + line(x - 3, y + 3, x + 3, y - 3)
 
 
 def _spread(indices: np.ndarray, most: int) -> np.ndarray:

@@ -34,6 +34,12 @@ def line(x1: float, y1: float, x2: float, y2: float, **attributes: object) -> st
     return element("line", x1=x1, y1=y1, x2=x2, y2=y2, **attributes)
 
 
+def lines(ends: Array, **attributes: object) -> str:
+    """Lines from ends (n, 2) to others, (n, 2, 2), as one element; of no length, they are dots."""
+    drawn = (f"M{a:.1f},{b:.1f}L{c:.1f},{d:.1f}" for a, b, c, d in ends.reshape(-1, 4).tolist())
+    return element("path", d="".join(drawn), **attributes)
+
+
 def polyline(points: Array, **attributes: object) -> str:
     """A line through points (n, 2)."""
     return element("polyline", points=_points(points), **attributes)
