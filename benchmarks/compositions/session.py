@@ -7,12 +7,11 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from benchmarks.study.disturbance import mounted
 from trigpoint.base.clock import to_ns
 from trigpoint.contract.messages import CameraInfo, Message, Odometry, Sightings
 from trigpoint.geometry import Pose
 
-from .carried import target_of
+from .carried import mounted, target_of
 from .recipe import Recipe, drawn
 from .ride import STEP_S, STEPS_A_MESSAGE, Ride
 from .room import Camera, cameras_of

@@ -2,11 +2,10 @@
 
 import os
 import resource
-import signal
 import subprocess
 import sys
 import tempfile
-import threading
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -81,30 +80,31 @@ def _calibrated(directory: Path, out: Path, limit_s: float) -> tuple[int | None,
     command += ["--site", str(directory / "site.toml"), "--out", str(out)]
     # Sessions are worked out side by side, and leave nothing for the linear algebra's threads.
     one_thread = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-    with tempfile.TemporaryFile("w+") as said:
-        process = subprocess.Popen(
-            command, stdout=subprocess.DEVNULL, stderr=said, env=os.environ | one_thread
+    limits = (int(np.ceil(limit_s)), int(np.ceil(limit_s)) + 1)
+    before_s = _children_s()
+    try:
+        ran = subprocess.run(
+            command,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=os.environ | one_thread,
+            preexec_fn=partial(resource.setrlimit, resource.RLIMIT_CPU, limits),
+            timeout=_PATIENCE * limit_s,
+            check=False,
         )
-        limits = (int(np.ceil(limit_s)), int(np.ceil(limit_s)) + 1)
-        resource.prlimit(process.pid, resource.RLIMIT_CPU, limits)
-        waited_out = threading.Event()
+    except subprocess.TimeoutExpired:
+        return None, _children_s() - before_s, ""
+    seconds = _children_s() - before_s
+    # The limit's signal ended it, or the kernel's harder one.
+    is_late = ran.returncode < 0 and seconds >= 0.9 * limit_s
+    return (None if is_late else ran.returncode), seconds, ran.stderr
 
-        def give_up() -> None:
-            waited_out.set()
-            process.kill()
 
-        end = threading.Timer(_PATIENCE * limit_s, give_up)
-        end.start()
-        try:
-            _, status, used = os.wait4(process.pid, 0)
-        finally:
-            end.cancel()
-        process.returncode = code = os.waitstatus_to_exitcode(status)
-        said.seek(0)
-        seconds = used.ru_utime + used.ru_stime
-        # The limit's signal ended it, or the kernel's harder one, or who waited.
-        by_limit = code == -signal.SIGXCPU or (code < 0 and seconds >= 0.9 * limit_s)
-        return (None if by_limit or waited_out.is_set() else code), seconds, said.read()
+def _children_s() -> float:
+    """The processor's time of all processes that this one began and that have ended."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def _camera(name: str, said: CameraRecord | None, place: Pose, pictures: int) -> Camera:
