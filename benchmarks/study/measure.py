@@ -35,7 +35,7 @@ def measured(name: str, seed: int, *, estimator: str = "smoother") -> Result:
 def measure_of(session: StudySession, results: Results, seconds: float) -> Result:
     """The measures of results that took so many seconds."""
     bound, network = session.bound, results.network
-    truth, is_open = session.simulated.truth.cameras, session.left_open
+    truth, is_open = session.simulated.cameras, session.left_open
     located = [name for name in network.located if name in bound.cameras]
     error = np.array([_pose(results, name).difference(truth[name]) for name in located])
     errors = dict(zip(located, error, strict=True))

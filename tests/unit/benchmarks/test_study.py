@@ -56,7 +56,7 @@ def test_the_truth_costs_what_the_noise_is_worth(session: StudySession) -> None:
 
 def test_the_smoothers_errors_are_of_the_bounds_size(session: StudySession) -> None:
     measure = measure_of(session, worked_out(session).results(), 0.0)
-    assert [c.name for c in measure.cameras] == sorted(session.simulated.truth.cameras)
+    assert [c.name for c in measure.cameras] == sorted(session.simulated.cameras)
     assert all(camera.verdict is Verdict.RIGHT for camera in measure.cameras)
     assert measure.efficiency is not None
     assert 0.5 < measure.efficiency < 2.0  # 36 degrees of freedom: six sigmas
@@ -65,9 +65,9 @@ def test_the_smoothers_errors_are_of_the_bounds_size(session: StudySession) -> N
 def test_a_session_is_the_same_for_the_same_seed_and_differs_for_another() -> None:
     first, again, other = (simulated_session("one_picture", seed) for seed in (1, 1, 2))
     assert [repr(m) for m in first.messages[-50:]] == [repr(m) for m in again.messages[-50:]]
-    last = max(stamp_ns for _, stamp_ns in first.simulated.truth.sighted)
+    last = max(stamp_ns for _, stamp_ns in first.simulated.sighted)
     end_ns = np.array([last])
-    truths = [s.simulated.truth.map_from_base("r1", end_ns) for s in (first, other)]
+    truths = [s.simulated.map_from_base("r1", end_ns) for s in (first, other)]
     assert np.linalg.norm(truths[0].difference(truths[1])) > 1e-6
 
 
