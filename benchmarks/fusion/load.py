@@ -12,8 +12,6 @@ whole where that is not reached), or the standstill. Times are the processor's.
 
 import time
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated
@@ -24,7 +22,7 @@ from msgspec import Struct, field
 from msgspec.structs import replace
 
 from benchmarks.table import Row
-from benchmarks.timing import resident_mb, worked_s
+from benchmarks.timing import in_new_process, resident_mb, worked_s
 from trigpoint.base.clock import SystemClock, to_ns, to_seconds
 from trigpoint.contract import cdr
 from trigpoint.contract.messages import Sightings
@@ -108,8 +106,7 @@ def measured(name: str, *, minutes: float | None = None, tells: bool = False) ->
     load = LOADS[name]
     if minutes is not None:
         load = replace(load, corridor=replace(load.corridor, duration_s=60 * minutes))
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-        return pool.submit(_driven, name, load, tells).result()
+    return in_new_process(_driven, name, load, tells)
 
 
 def _driven(name: str, load: Load, tells: bool) -> list[Row]:

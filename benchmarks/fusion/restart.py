@@ -11,8 +11,6 @@ processor's too, of a process of its own.
 
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated
@@ -20,6 +18,7 @@ from typing import Annotated
 import typer
 
 from benchmarks.table import Row
+from benchmarks.timing import in_new_process
 from trigpoint.base.clock import SystemClock
 from trigpoint.contract import cdr
 from trigpoint.contract.topics import command_key
@@ -50,8 +49,7 @@ def main(
 def _rows(corridor: Corridor, folder: Path) -> Iterator[Row]:
     count = _stored(corridor, folder)
     for what in ("without a solution", "with one"):
-        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-            work, read, corrects, solved = pool.submit(_started, corridor, folder).result()
+        work, read, corrects, solved = in_new_process(_started, corridor, folder)
         name = f"{count} messages, {what}"
         yield Row("restart", f"{name}: work until read", "s", work, 5.0, "the goal")
         yield Row("restart", f"{name}: read", "s", read, 5.0, "the goal")

@@ -2,9 +2,7 @@
 without a board, beside the finders of OpenCV, calib-targets and AprilTag: the median of
 milliseconds, and how many boards are found whole. Then what follows a first search."""
 
-import multiprocessing
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -14,7 +12,7 @@ import numpy as np
 import typer
 
 from benchmarks.table import Row
-from benchmarks.timing import worked
+from benchmarks.timing import in_new_process, worked
 from trigpoint.edge.tracker import TargetTracker
 from trigpoint.site.target import Face, Pattern, Target
 
@@ -103,9 +101,7 @@ def _start_rows(data: Path) -> list[Row]:
         picture = next(pictured.pictures(data), None)
         if picture is None:
             continue
-        context = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(1, mp_context=context) as pool:
-            first, following = pool.submit(_first_two, pictured.face, picture).result()
+        first, following = in_new_process(_first_two, pictured.face, picture)
         what = f"first picture after the start, {pattern.value}"
         rows.append(_row(what, "ms", 1e3 * first, 1e3 * following, "the next"))
     return rows
