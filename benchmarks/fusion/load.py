@@ -31,8 +31,9 @@ from trigpoint.fusion.live.memory import return_large_arrays
 from trigpoint.fusion.live.solver_process import SolverProcess
 from trigpoint.fusion.map_storage import MapStorage
 from trigpoint.fusion.pipeline import Pipeline
+from trigpoint.tools.simulation.session import EPOCH_NS
 
-from .corridor import EPOCH_NS, Corridor
+from .corridor import Corridor
 
 _TURN_NS = to_ns(0.02)
 _TELL_S, _MOST_LATE_S = 30.0, 60.0
