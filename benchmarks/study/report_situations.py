@@ -48,6 +48,11 @@ A number in bold misses its goal (1.03 and 0.95 to 1.05 where faces and lenses a
 and 0.9 to 1.1) by more than two standard errors.
 """
 
+_COLUMNS = (
+    "sessions | error / bound | error / own | distance, bound (cm) | wrong | undetermined "
+    "| time (s)"
+)
+
 
 def write_report(results: Mapping[str, list[Result]], docs: Path) -> Path:
     """Write the page; return its path."""
@@ -65,32 +70,29 @@ def write_report(results: Mapping[str, list[Result]], docs: Path) -> Path:
 
 
 def _situations(results: Mapping[str, list[Result]]) -> list[str]:
-    rows = []
-    for name, found in results.items():
-        goal, left_open = SITUATIONS[name].goal, count_of(found, Verdict.LEFT_OPEN)
-        missed = bold_count(count_of(found, Verdict.MISSED))
-        cells = [
-            SITUATIONS[name].title,
-            str(len(found)),
-            _ratio(ratio_of(one.efficiency for one in found), 0.0, goal.efficiency),
-            _ratio(ratio_of(one.honesty for one in found), *goal.honesty),
-            "{:.2f}, {:.2f}".format(*_distances_cm(found)),
-            bold_count(count_of(found, Verdict.WRONG, Verdict.MADE_UP)),
-            missed + (f", {left_open} rightly" if left_open else ""),
-            f"{_seconds(found):.2f}",
-        ]
-        rows.append(cells)
-    head = (
-        "situation | sessions | error / bound | error / own | distance, bound (cm) | wrong "
-        "| undetermined | time (s)"
-    )
+    rows = [[SITUATIONS[name].title, *_cells(name, found)] for name, found in results.items()]
     every = [result for found in results.values() for result in found]
     words = (
         f"Of {len(every)} sessions {count_of(every, Verdict.WRONG, Verdict.MADE_UP)} have a wrong "
         f"camera, {count_of(every, Verdict.MISSED)} one that is undetermined though the data "
         "decide."
     )
-    return [*page_table(head, rows), "", words, ""]
+    return [*page_table(f"situation | {_COLUMNS}", rows), "", words, ""]
+
+
+def _cells(name: str, found: list[Result]) -> list[str]:
+    """What some sessions of a situation come to, by `_COLUMNS`."""
+    goal, left_open = SITUATIONS[name].goal, count_of(found, Verdict.LEFT_OPEN)
+    missed = bold_count(count_of(found, Verdict.MISSED))
+    return [
+        str(len(found)),
+        _ratio(ratio_of(one.efficiency for one in found), 0.0, goal.efficiency),
+        _ratio(ratio_of(one.honesty for one in found), *goal.honesty),
+        "{:.2f}, {:.2f}".format(*_distances_cm(found)),
+        bold_count(count_of(found, Verdict.WRONG, Verdict.MADE_UP)),
+        missed + (f", {left_open} rightly" if left_open else ""),
+        f"{np.mean([one.seconds for one in found]):.2f}",
+    ]
 
 
 def _ratio(ratio: Ratio, low: float, high: float) -> str:
@@ -105,10 +107,6 @@ def _distances_cm(found: list[Result]) -> tuple[float, float]:
     errors = [(one.distance or 0.0, one.distance_bound or 0.0) for one in found]
     error, bound = 100 * np.mean(errors, axis=0)
     return float(error), float(bound)
-
-
-def _seconds(found: list[Result]) -> float:
-    return float(np.mean([one.seconds for one in found]))
 
 
 def _distances(found: list[Result]) -> str:
@@ -129,21 +127,7 @@ def _estimators(results: Mapping[str, list[Result]]) -> list[str]:
         seeds = sorted(set.intersection(*(set(by[e]) for e in present))) if present else []
         for estimator in present if len(present) > 1 and seeds else []:
             shared = [by[estimator][seed] for seed in seeds]
-            cells = [
-                SITUATIONS[name].title,
-                estimator,
-                str(len(shared)),
-                ratio_of(one.efficiency for one in shared).told(3),
-                ratio_of(one.honesty for one in shared).told(3),
-                f"{_distances_cm(shared)[0]:.2f}",
-                str(count_of(shared, Verdict.WRONG)),
-                str(count_of(shared, Verdict.MISSED)),
-                f"{_seconds(shared):.2f}",
-            ]
-            rows.append(cells)
-    head = (
-        "situation | estimator | sessions | error / bound | error / own | distance (cm) | wrong "
-        "| undetermined | time (s)"
-    )
+            rows.append([SITUATIONS[name].title, estimator, *_cells(name, shared)])
+    head = f"situation | estimator | {_COLUMNS}"
     lines = ["## Estimators\n", "On the same sessions:\n", *page_table(head, rows), ""]
     return lines if rows else []
