@@ -42,7 +42,7 @@ def measure(
             typer.echo(f"{name}: {why}", err=True)
             continue
         began = time.perf_counter()
-        rows += BENCHMARKS[name].open()(effort)
+        rows += BENCHMARKS[name].open()(effort) or []
         typer.echo(f"{name}: measured in {time.perf_counter() - began:.0f} s", err=True)
     tell(rows)
     write_report(json, rows, before, effort=effort)

@@ -148,12 +148,12 @@ def true_cameras(world: World, results: Results) -> Pose:
 def rows_of(found: Drawn) -> Iterator[Row]:
     """What came out."""
     classes = found.by_class()
-    within = np.mean((classes >= 0.9) & (classes <= 1.1))
+    within = float(np.mean((classes >= 0.9) & (classes <= 1.1)))
     corrected = np.isfinite(found.error_m)
     is_as_said = np.isfinite(found.stated_m) == corrected
     yield _more("corrected", "cells", corrected.sum(), len(found.stated_m), "drawn")
     yield _more("corrected or not as the map says", "%", 100 * is_as_said.mean(), 100.0, "all")
-    yield _row("95 % of the errors", "radii", np.quantile(found.ratios, 0.95), 1.0, "stated")
+    yield _row("95 % of the errors", "radii", float(np.quantile(found.ratios, 0.95)), 1.0, "stated")
     what = f"the same, in {len(classes)} classes by that radius"
     yield _row(f"{what}, least", "radii", classes.min(), 1.0, "stated")
     yield _row(f"{what}, most", "radii", classes.max(), 1.0, "stated")
@@ -162,7 +162,7 @@ def rows_of(found: Drawn) -> Iterator[Row]:
     for count in range(1, int(found.cameras.max()) + 1):
         mine = (found.cameras == count) & corrected & np.isfinite(found.stated_m)
         if mine.sum() >= 100:
-            ratio = np.quantile(found.error_m[mine] / found.stated_m[mine], 0.95)
+            ratio = float(np.quantile(found.error_m[mine] / found.stated_m[mine], 0.95))
             median_mm = 1000 * np.median(found.stated_m[mine])
             what = f"95 % of the errors, seen by {count}, of {median_mm:.2f} mm in the middle"
             yield _row(what, "radii", ratio, 1.0, f"stated, {mine.sum()} cells")

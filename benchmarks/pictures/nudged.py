@@ -80,7 +80,7 @@ def nudges(worlds: dict[str, np.ndarray], looks: list[np.ndarray], count: int) -
         noticed = partial(_row, more_is_better=True)
         against = f"of {len(seen)} with the background in sight"
         for limit_s, goal in ((_IN_TIME_S, 99.0), (float(_AFTER_S), 100.0)):
-            share = 100 * np.mean(delays <= limit_s)
+            share = 100 * float(np.mean(delays <= limit_s))
             yield noticed(f"{kind}, noticed within {limit_s:.0f} s", "%", share, goal, against)
         yield _row(f"{kind}, noticed after, median", "s", np.median(delays), _IN_TIME_S, against)
         late = sum(delay < np.inf for delay in hidden)
