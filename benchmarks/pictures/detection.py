@@ -28,7 +28,7 @@ from .opencv_finders import (
     checkerboards_by_sectors,
     checkerboards_in_even_light,
 )
-from .scoring import Found, Score, score_of
+from .scoring import Found, score_of, score_rows, sigma_row
 from .views import Gallery, View, gallery
 
 OURS = "ours"
@@ -131,8 +131,8 @@ def _rows(choice: str, size: str, effort: float) -> list[Row]:
         scores = {n: score_of(views[which], run.answers[which]) for n, run in done.items()}
         first, *rest = others
         for other in (first, *(n for n in rest if scores[n].errors != scores[first].errors)):
-            rows += _score_rows(f"{what} driving, {part}", scores[OURS], scores[other], other)
-    rows.append(_sigma_row(f"{what} driving", score_of(views, done[OURS].answers)))
+            rows += score_rows(_row, f"{what} driving, {part}", scores[OURS], scores[other], other)
+    rows.append(sigma_row(_row, f"{what} driving", score_of(views, done[OURS].answers)))
     return rows + _tracked_rows(what, driving, others, size, effort)
 
 
@@ -154,8 +154,8 @@ def _tracked_rows(
     rows = _time_rows(f"{what} driving, found in the last picture", done, others)
     scores = {name: score_of(views, run.answers) for name, run in done.items()}
     first = next(iter(others))
-    rows += _score_rows(f"{what} driving, followed", scores[OURS], scores[first], first)
-    return [*rows, _sigma_row(f"{what} driving, followed", scores[OURS])]
+    rows += score_rows(_row, f"{what} driving, followed", scores[OURS], scores[first], first)
+    return [*rows, sigma_row(_row, f"{what} driving, followed", scores[OURS])]
 
 
 def _followed(
@@ -201,21 +201,5 @@ def _spacing(view: View) -> float:
     return max(whole, default=0.0)
 
 
-def _score_rows(what: str, ours: Score, other: Score, name: str) -> list[Row]:
-    both = ours.errors.keys() & other.errors.keys()
-    shares = (100 * ours.share, 100 * other.share)
-    rows = [_row(f"{what}, faces found", "%", *shares, name, more_is_better=True)]
-    if ours.wrong or other.wrong:
-        rows.append(_row(f"{what}, found where none is", "faces", ours.wrong, other.wrong, name))
-    error = (ours.rms(both), other.rms(both))
-    return [*rows, _row(f"{what}, corner error, found by both", "px", *error, name)]
-
-
 def _found(sighting: FaceSighting) -> Found:
     return Found(sighting.face, sighting.corners, sighting.pixels, sighting.sigma)
-
-
-def _sigma_row(what: str, ours: Score) -> Row:
-    """Neither more nor less is better than the same."""
-    what = f"{what}, corner error in its sigmas"
-    return _row(what, "1", ours.normalised_rms, 1.0, "a true sigma")
