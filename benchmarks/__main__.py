@@ -3,6 +3,7 @@
 import sys
 import time
 from collections.abc import Callable
+from functools import wraps
 from pathlib import Path
 from typing import Annotated
 
@@ -12,6 +13,8 @@ from .machine import machine
 from .report import tell, write_report
 from .table import BENCHMARKS, Row, columns
 
+_FOLDER = Path("out")
+
 _SHORT = [name for name, benchmark in BENCHMARKS.items() if not benchmark.is_long]
 
 
@@ -19,8 +22,8 @@ def measure(
     names: Annotated[
         list[str], typer.Argument(metavar="NAME…", help=f"Of {', '.join(_SHORT)}; or all.")
     ],
-    json: Annotated[Path, typer.Option("--json", help="Where the rows are written.")] = Path(
-        "out/benchmarks.json"
+    json: Annotated[Path, typer.Option("--json", help="Where the rows are written.")] = (
+        _FOLDER / "benchmarks.json"
     ),
     effort: Annotated[
         float, typer.Option(help="Less than 1 is quicker and rougher.", min=0.01)
@@ -59,9 +62,23 @@ def main() -> None:
         if hasattr(own, "app"):
             own.app(sys.argv[2:], prog_name=program)
         else:
-            _run(own.main, sys.argv[2:], program)
+            _run(_told(sys.argv[1], own.main), sys.argv[2:], program)
     else:
         _run(measure, sys.argv[1:], "python -m benchmarks")
+
+
+def _told(name: str, command: Callable[..., list[Row] | None]) -> Callable[..., None]:
+    """A benchmark's own command, of which the rows that it gives are printed and written."""
+
+    @wraps(command)
+    def run(*arguments: object, **options: object) -> None:
+        before = machine()
+        rows = command(*arguments, **options)
+        if rows:
+            tell(rows)
+            write_report(_FOLDER / f"{name}.json", rows, before)
+
+    return run
 
 
 def _run(command: Callable[..., None], words: list[str], program: str) -> None:

@@ -12,7 +12,6 @@ from collections import defaultdict
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
 
 from trigpoint.contract import topics
@@ -20,7 +19,10 @@ from trigpoint.contract.cdr import decode
 from trigpoint.contract.messages import PoseEstimate, Sightings
 from trigpoint.recorder.session.recording import open_recording
 
-from .machine import machine
+from .table import Row, lateness_rows
+
+# Of corrections, 95 % of them.
+_GOAL_MS = 40.0
 
 
 def stages_ms(folder: Path) -> dict[str, list[float]]:
@@ -43,10 +45,13 @@ def stages_ms(folder: Path) -> dict[str, list[float]]:
 
 def main(
     folder: Annotated[Path, typer.Argument(help="Of a demo, or of a session.")] = Path("out/demo"),
-) -> None:
+) -> list[Row]:
     """How late a correction was, and where the time went."""
     stages = {stage: late_ms for stage, late_ms in stages_ms(folder).items() if late_ms}
-    for stage, late_ms in stages.items():
-        half, most = np.percentile(late_ms, [50, 95])
-        typer.echo(f"exposure to {stage}: p50 {half:.1f}, p95 {most:.1f} ms ({len(late_ms)})")
-    typer.echo(machine().summary if stages else f"{folder}: nobody sighted anything")
+    if not stages:
+        typer.echo(f"{folder}: nobody sighted anything", err=True)
+    return [
+        row
+        for stage, late_ms in stages.items()
+        for row in lateness_rows("latency", f"exposure to {stage}", late_ms, _GOAL_MS)
+    ]

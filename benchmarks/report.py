@@ -16,7 +16,7 @@ def tell(rows: Sequence[Row]) -> None:
     print(machine().summary, flush=True)
 
 
-def write_report(path: Path, rows: Sequence[Row], machine: Machine, *, effort: float) -> None:
+def write_report(path: Path, rows: Sequence[Row], machine: Machine, *, effort: float = 1.0) -> None:
     """Write the rows, each with its ratio, and the machine."""
     report = {
         "effort": effort,
@@ -24,4 +24,4 @@ def write_report(path: Path, rows: Sequence[Row], machine: Machine, *, effort: f
         "rows": [asdict(row) | {"ratio": row.ratio} for row in rows],
     }
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
+    path.write_text(json.dumps(report, indent=2, default=float) + "\n", encoding="utf-8")

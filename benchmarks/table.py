@@ -1,10 +1,11 @@
 """The table of benchmarks: by each name the question that it answers, and what a row of it is."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from importlib import import_module
 from importlib.util import find_spec
 from types import ModuleType
 
+import numpy as np
 from msgspec import Struct
 
 
@@ -122,6 +123,16 @@ class Row(Struct, frozen=True):
     def ratio(self) -> float | None:
         """Ours over the other; None where the other is 0."""
         return self.ours / self.other if self.other else None
+
+
+def lateness_rows(benchmark: str, what: str, late_ms: Sequence[float], goal_ms: float) -> list[Row]:
+    """How late messages were, in the middle and nearly all of them."""
+    half, most = np.percentile(late_ms, [50, 95]).tolist()
+    against = f"the goal; {len(late_ms)} messages"
+    return [
+        Row(benchmark, f"{what}, p50", "ms", half, goal_ms, against),
+        Row(benchmark, f"{what}, p95", "ms", most, goal_ms, against),
+    ]
 
 
 def share_of(count: int, effort: float, *, least: int = 1) -> int:

@@ -3,6 +3,8 @@
 import os
 import time
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 from typing import TypeVar
 
@@ -26,6 +28,12 @@ def timed(job: Callable[[], _Result]) -> tuple[float, _Result]:
     began = time.perf_counter()
     result = job()
     return time.perf_counter() - began, result
+
+
+def in_new_process(job: Callable[..., _Result], *arguments: object) -> _Result:
+    """What a job gives in a process of its own, whose memory and first times are then the job's."""
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        return pool.submit(job, *arguments).result()
 
 
 def worked(job: Callable[[], _Result]) -> tuple[float, _Result]:

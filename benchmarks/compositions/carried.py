@@ -96,3 +96,19 @@ _SHAPES: dict[str, list[tuple[float, float, bool]]] = {
 def _level(azimuth_deg: float) -> np.ndarray:
     azimuth = np.radians(azimuth_deg)
     return np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+
+
+def mounted(target: Target, metres: float, radians: float, random: np.random.Generator) -> Target:
+    """The target as it truly is, each face off by normal draws."""
+    sigma = np.repeat([metres, radians], 3)
+    faces = (_moved(face, random.standard_normal(6) * sigma) for face in target.faces)
+    return Target(target.name, tuple(faces))
+
+
+def _moved(face: Face, by: np.ndarray) -> Face:
+    pose = face.base_from_face.disturbed(by)
+    return structs.replace(
+        face,
+        translation=tuple(float(value) for value in pose.translation),
+        quaternion=tuple(float(value) for value in pose.quaternion),
+    )

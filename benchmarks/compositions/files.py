@@ -7,19 +7,18 @@ from typing import Any
 import numpy as np
 from msgspec import structs
 
-from trigpoint.base.errors import writing
-from trigpoint.contract import cdr, topics
+from trigpoint.contract import topics
 from trigpoint.contract.messages import CameraInfo, Message, Odometry
 from trigpoint.geometry import Pose
 from trigpoint.map.network import PoseRecord, encode_tum
-from trigpoint.recorder.mcap.writer import McapWriter
 from trigpoint.site.target import Target
 from trigpoint.site.toml_file import toml_table
 from trigpoint.tools.shapes.text import target_text
+from trigpoint.tools.simulation.session import EPOCH_NS, write_recording
 
 from .ride import STEP_S, told_noise
 from .room import CENTRE_SPREAD, DISTORTION_SPREAD, FOCAL_SPREAD, Camera
-from .session import EPOCH_NS, MOUNT_M, MOUNT_RAD, Composition
+from .session import MOUNT_M, MOUNT_RAD, Composition
 from .views import Labelled, Picture, shifted
 
 SITE = "lab"
@@ -29,19 +28,17 @@ def write_composition(session: Composition, folder: Path) -> Path:
     """Write session.mcap, site.toml, the targets, truth.json and true trajectories; return the
     session's folder. Raises OperationError where there is a session already."""
     directory = folder / session.name
-    with writing(directory):
-        directory.mkdir(parents=True, exist_ok=True)
-    with McapWriter(directory / "session.mcap") as writer:
-        with writing(directory):
-            names = _write_inputs(session, directory)
-            _write_truth(session, directory)
-        for name in names:
-            data = (directory / name).read_bytes()
-            writer.attach(name, data, "application/toml", time_ns=EPOCH_NS)
-        for at_ns, node, message in session.messages():
-            topic = _topic(message)
-            payload, log_ns = cdr.encode(message), EPOCH_NS + at_ns
-            writer.add(topic, topic.key(SITE, node), payload, log_ns=log_ns, published_ns=log_ns)
+
+    def write_files() -> list[Path]:
+        names = _write_inputs(session, directory)
+        _write_truth(session, directory)
+        return [directory / name for name in names]
+
+    items = (
+        (EPOCH_NS + at_ns, _topic(message), node, message)
+        for at_ns, node, message in session.messages()
+    )
+    write_recording(directory, SITE, write_files, items)
     return directory
 
 

@@ -7,19 +7,18 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from benchmarks.study.disturbance import mounted
 from trigpoint.base.clock import to_ns
 from trigpoint.contract.messages import CameraInfo, Message, Odometry, Sightings
 from trigpoint.geometry import Pose
+from trigpoint.tools.simulation.session import EPOCH_NS
 
-from .carried import target_of
+from .carried import mounted, target_of
 from .recipe import Recipe, drawn
 from .ride import STEP_S, STEPS_A_MESSAGE, Ride
 from .room import Camera, cameras_of
 from .route import ride_of
 from .views import Carrier, Picture, only_good, pictures_of, shifted
 
-EPOCH_NS = 1_700_000_000_000_000_000
 MOUNT_M, MOUNT_RAD = 0.003, float(np.radians(0.5))
 _LATE_S, _TWICE_S = (0.5, 3.0), 0.05
 _GAP_S = (0.5, 2.5)

@@ -9,14 +9,15 @@ robot against those that it says can't be done without. With `--sessions` the ca
 not drawn but those that calibrations of so many drives truly made.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import Annotated
 
 import numpy as np
 import typer
 from msgspec import Struct
 
-from benchmarks.machine import machine
+from benchmarks.table import Row
 from trigpoint.fusion.coverage.correction_errors import Pictures, expected_errors
 from trigpoint.fusion.coverage.floor import HEADINGS, floor_of, headings_rad
 from trigpoint.fusion.coverage.known_network import (
@@ -38,6 +39,8 @@ from .hall import calibrated, hall
 
 _SIGMA_PX = 0.15
 _BINS = 20
+_row = partial(Row, "accuracy_map")
+_more = partial(_row, more_is_better=True)
 
 
 class Drawn(Struct, frozen=True, eq=False):
@@ -142,31 +145,27 @@ def true_cameras(world: World, results: Results) -> Pose:
     return Pose.stack([world.cameras[name].map_from_camera for name in results.network.located])
 
 
-def summary(found: Drawn) -> list[str]:
-    """What came out, as lines."""
+def rows_of(found: Drawn) -> Iterator[Row]:
+    """What came out."""
     classes = found.by_class()
-    within = np.mean((classes >= 0.9) & (classes <= 1.1))
-    seen = np.isfinite(found.stated_m) == np.isfinite(found.error_m)
-    lines = [
-        f"cells drawn: {len(found.stated_m)}; corrected: {int(np.isfinite(found.error_m).sum())}; "
-        f"corrected or not as the map says: {100 * seen.mean():.2f} %",
-        f"95 % of the errors over the stated radius: {np.quantile(found.ratios, 0.95):.3f}",
-        f"in {len(classes)} classes by that radius: {classes.min():.3f} to {classes.max():.3f}, "
-        f"within 0.9 to 1.1 in {100 * within:.0f} %: "
-        + " ".join(f"{value:.2f}" for value in classes),
-        f"the camera that is needed, or none, is the one that the map names: "
-        f"{100 * found.losses_right:.2f} %",
-    ]
+    within = float(np.mean((classes >= 0.9) & (classes <= 1.1)))
+    corrected = np.isfinite(found.error_m)
+    is_as_said = np.isfinite(found.stated_m) == corrected
+    yield _more("corrected", "cells", corrected.sum(), len(found.stated_m), "drawn")
+    yield _more("corrected or not as the map says", "%", 100 * is_as_said.mean(), 100.0, "all")
+    yield _row("95 % of the errors", "radii", float(np.quantile(found.ratios, 0.95)), 1.0, "stated")
+    what = f"the same, in {len(classes)} classes by that radius"
+    yield _row(f"{what}, least", "radii", classes.min(), 1.0, "stated")
+    yield _row(f"{what}, most", "radii", classes.max(), 1.0, "stated")
+    yield _more("classes within 0.9 to 1.1", "%", 100 * within, 95.0, "the goal")
+    yield _more("the needed camera named", "%", 100 * found.losses_right, 99.0, "the goal")
     for count in range(1, int(found.cameras.max()) + 1):
-        mine = (found.cameras == count) & np.isfinite(found.error_m) & np.isfinite(found.stated_m)
+        mine = (found.cameras == count) & corrected & np.isfinite(found.stated_m)
         if mine.sum() >= 100:
-            ratio = np.quantile(found.error_m[mine] / found.stated_m[mine], 0.95)
-            median = 1000 * np.median(found.stated_m[mine])
-            lines.append(
-                f"  seen by {count}: {int(mine.sum())} cells, ratio {ratio:.3f}, "
-                f"stated radius {median:.2f} mm in the middle"
-            )
-    return lines
+            ratio = float(np.quantile(found.error_m[mine] / found.stated_m[mine], 0.95))
+            median_mm = 1000 * np.median(found.stated_m[mine])
+            what = f"95 % of the errors, seen by {count}, of {median_mm:.2f} mm in the middle"
+            yield _row(what, "radii", ratio, 1.0, f"stated, {mine.sum()} cells")
 
 
 def joined(parts: Sequence[Drawn]) -> Drawn:
@@ -182,19 +181,16 @@ def main(
         int, typer.Option(min=0, help="Calibrations whose true errors count; 0: errors are drawn.")
     ] = 0,
     target: Annotated[str, typer.Option(help="charuco or checkerboard.")] = "charuco",
-) -> None:
-    """Measure, and print the lines."""
+) -> list[Row]:
+    """Hold drawn errors against the map."""
     kind: TargetChoice = "checkerboard" if target == "checkerboard" else "charuco"
     if not sessions:
         inputs, results = calibrated(hall(1, kind))
-        print("\n".join(summary(drawn(inputs, results, cells, seed))))
-    else:
-        parts = []
-        for number in range(1, sessions + 1):
-            world = hall(number, kind)
-            inputs, results = calibrated(world)
-            poses = true_cameras(world, results)
-            some = cells // sessions
-            parts.append(drawn(inputs, results, some, number, true_poses=poses))
-        print("\n".join(summary(joined(parts))))
-    print(machine().summary)
+        return list(rows_of(drawn(inputs, results, cells, seed)))
+    parts = []
+    for number in range(1, sessions + 1):
+        world = hall(number, kind)
+        inputs, results = calibrated(world)
+        poses = true_cameras(world, results)
+        parts.append(drawn(inputs, results, cells // sessions, number, true_poses=poses))
+    return list(rows_of(joined(parts)))

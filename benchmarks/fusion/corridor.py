@@ -19,10 +19,10 @@ from trigpoint.site.config import OdometryNoise, parse_site
 from trigpoint.site.target import Target
 from trigpoint.testing.views import looking_at
 from trigpoint.tools.simulation.motion.odometry import chained, increments, reported
+from trigpoint.tools.simulation.session import EPOCH_NS
 from trigpoint.tools.simulation.sight.seen_corners import seen_faces
 from trigpoint.tools.simulation.sight.targets import target_of
 
-EPOCH_NS = 1_700_000_000_000_000_000
 SPEED = 0.4
 ODOMETRY_HZ = 20.0
 PICTURES_HZ = 5.0

@@ -31,12 +31,12 @@ from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.uncertainty import planar_covariance
 from trigpoint.site.target import Target
+from trigpoint.tools.simulation.session import EPOCH_NS
 from trigpoint.tools.simulation.sight.seen_corners import seen_faces_each
 
 SMALLEST_SQUARE_PX = 7.0  # of a world file
 _ROUGHLY = np.array([0.1, 0.1, 0.05])  # what odometry knows beforehand, m and rad
 _NOTHING_M2 = 1e4
-_STAMP_NS = 1_700_000_000_000_000_000
 
 
 class Corrector(Struct, frozen=True, eq=False):
@@ -64,7 +64,7 @@ class Corrector(Struct, frozen=True, eq=False):
         said = planar_covariance(np.diag(_ROUGHLY**2))
         about = np.zeros(6)
         about[[0, 1, 5]] = random.normal(0.0, _ROUGHLY)
-        predicted = RobotEstimate(_STAMP_NS, map_from_base.disturbed(about), said)
+        predicted = RobotEstimate(EPOCH_NS, map_from_base.disturbed(about), said)
         current: Filter | None = None
         for number, eye in enumerate(self.network.eyes):
             observation = self._observation(eye, sighted.get(eye.name, ()))
@@ -85,7 +85,7 @@ class Corrector(Struct, frozen=True, eq=False):
         config = self.data.site.cameras[eye.name]
         views = [view_of(self.target, face, config) for face in faces]
         kept: tuple[View, ...] = tuple(view for view in views if view is not None)
-        return observation_of(eye.name, self.robot, _STAMP_NS, kept) if kept else None
+        return observation_of(eye.name, self.robot, EPOCH_NS, kept) if kept else None
 
     def _before(self, guess: Pose) -> Filter:
         """The filter of a robot that may be anywhere."""
@@ -94,13 +94,13 @@ class Corrector(Struct, frozen=True, eq=False):
         robot = RobotState(Pose.stack([guess]), np.zeros(2), base_from_faces(self.target))
         state = State(cameras, {self.robot: robot})
         track = self.data.tracks[self.robot]
-        chains = {self.robot: Chain.unlinked(self.robot, np.array([_STAMP_NS]), track)}
+        chains = {self.robot: Chain.unlinked(self.robot, np.array([EPOCH_NS]), track)}
         layout = layout_of(names, chains, Priors.none(), state)
         covariance = _NOTHING_M2 * np.eye(layout.size)
         size = len(self.network.covariance)
         covariance[:size, :size] = self.network.covariance
         known = Gaussian.of(np.zeros(layout.size), covariance)
-        return Filter(state, {self.robot: _STAMP_NS}, layout, known)
+        return Filter(state, {self.robot: EPOCH_NS}, layout, known)
 
 
 def sightings(

@@ -12,8 +12,6 @@ whole where that is not reached), or the standstill. Times are the processor's.
 
 import time
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated
@@ -23,9 +21,8 @@ import typer
 from msgspec import Struct, field
 from msgspec.structs import replace
 
-from benchmarks.report import tell
 from benchmarks.table import Row
-from benchmarks.timing import resident_mb, worked_s
+from benchmarks.timing import in_new_process, resident_mb, worked_s
 from trigpoint.base.clock import SystemClock, to_ns, to_seconds
 from trigpoint.contract import cdr
 from trigpoint.contract.messages import Sightings
@@ -34,8 +31,9 @@ from trigpoint.fusion.live.memory import return_large_arrays
 from trigpoint.fusion.live.solver_process import SolverProcess
 from trigpoint.fusion.map_storage import MapStorage
 from trigpoint.fusion.pipeline import Pipeline
+from trigpoint.tools.simulation.session import EPOCH_NS
 
-from .corridor import EPOCH_NS, Corridor
+from .corridor import Corridor
 
 _TURN_NS = to_ns(0.02)
 _TELL_S, _MOST_LATE_S = 30.0, 60.0
@@ -109,8 +107,7 @@ def measured(name: str, *, minutes: float | None = None, tells: bool = False) ->
     load = LOADS[name]
     if minutes is not None:
         load = replace(load, corridor=replace(load.corridor, duration_s=60 * minutes))
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-        return pool.submit(_driven, name, load, tells).result()
+    return in_new_process(_driven, name, load, tells)
 
 
 def _driven(name: str, load: Load, tells: bool) -> list[Row]:
@@ -279,9 +276,9 @@ def main(
         list[str] | None, typer.Argument(metavar="[NAME]…", help=f"Of {', '.join(LOADS)}.")
     ] = None,
     minutes: Annotated[float | None, typer.Option(help="Of driving, if others.")] = None,
-) -> None:
+) -> list[Row]:
     """Drive round a corridor, and say what it costs."""
     if unknown := [name for name in names or [] if name not in LOADS]:
         raise typer.BadParameter(f"no load «{unknown[0]}»; choose of {', '.join(LOADS)}")
-    for name in names or ["short"]:
-        tell(measured(name, minutes=minutes, tells=True))
+    chosen = names or ["short"]
+    return [row for name in chosen for row in measured(name, minutes=minutes, tells=True)]

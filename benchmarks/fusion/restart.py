@@ -11,16 +11,14 @@ processor's too, of a process of its own.
 
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated
 
 import typer
 
-from benchmarks.report import tell
 from benchmarks.table import Row
+from benchmarks.timing import in_new_process
 from trigpoint.base.clock import SystemClock
 from trigpoint.contract import cdr
 from trigpoint.contract.topics import command_key
@@ -41,18 +39,17 @@ _POLL_S, _ANSWER_S, _PATIENCE_S = 0.01, 60.0, 900.0
 
 def main(
     minutes: Annotated[float, typer.Option(help="Of driving: 33 are some 41,000 messages.")] = 33.5,
-) -> None:
+) -> list[Row]:
     """Start fusion again on a checkpoint, without and with its last solution."""
     corridor = Corridor(_CAMERAS, 60 * minutes, pictures_hz=1.0)
     with TemporaryDirectory() as folder:
-        tell(list(_rows(corridor, Path(folder))))
+        return list(_rows(corridor, Path(folder)))
 
 
 def _rows(corridor: Corridor, folder: Path) -> Iterator[Row]:
     count = _stored(corridor, folder)
     for what in ("without a solution", "with one"):
-        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-            work, read, corrects, solved = pool.submit(_started, corridor, folder).result()
+        work, read, corrects, solved = in_new_process(_started, corridor, folder)
         name = f"{count} messages, {what}"
         yield Row("restart", f"{name}: work until read", "s", work, 5.0, "the goal")
         yield Row("restart", f"{name}: read", "s", read, 5.0, "the goal")

@@ -17,23 +17,26 @@ import time
 import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from multiprocessing.synchronize import Event
 from pathlib import Path
 from typing import Annotated
 from urllib.parse import urlsplit
 
-import numpy as np
 import typer
 from support.builders import site_text
 from support.site.board_site import BoardSite, Truth
 from support.site.board_site import run as publish
 
+from benchmarks.table import Row, lateness_rows
 from benchmarks.timing import resident_mb, worked_s
 from trigpoint.site.config import load_site
 from trigpoint.zenoh import open_bus
 
 _FILES = ("", "board.css", "board.js", "map.js", "tables.js", "looking.js", "mark.svg")
 _SETTLED_S = 8.0
+_GOAL_MS = 200.0
+_row = partial(Row, "page")
 _ROUND_M = 10.0
 """Robot r1 goes a metre a second along x, over and over: where it is says when that was sent."""
 
@@ -63,22 +66,21 @@ def main(
     seconds: Annotated[float, typer.Option(help="Of each measurement.", min=2.0)] = 30.0,
     cameras: int = 100,
     robots: int = 30,
-) -> None:
+) -> list[Row]:
     """Measure the page's transfer, its latency, and what its server takes."""
-    rows: dict[str, float] = {}
     with tempfile.TemporaryDirectory() as folder, _site(Path(folder), cameras, robots) as path:
         process, address = _board(path)
         try:
             time.sleep(_SETTLED_S)
-            rows |= _transfer(address, process.pid, seconds)
-            rows |= _to_the_page(address, seconds)
-            rows |= _to_pixels(address, seconds)
-            rows["server's memory, MB"] = resident_mb(process.pid)
+            rows = [
+                *_transfer(address, process.pid, seconds),
+                *_to_the_page(address, seconds),
+                *_to_pixels(address, seconds),
+            ]
+            return [*rows, _row("server's memory", "MB", resident_mb(process.pid), 0.0, "none")]
         finally:
             process.terminate()
             process.wait(20)
-    for what, value in rows.items():
-        typer.echo(f"{what:45s} {value:10.1f}")
 
 
 @contextmanager
@@ -113,7 +115,7 @@ def _board(site: Path) -> tuple[subprocess.Popen[str], str]:
     return process, process.stdout.readline().rpartition(" ")[2].strip()
 
 
-def _transfer(address: str, pid: int, seconds: float) -> dict[str, float]:
+def _transfer(address: str, pid: int, seconds: float) -> list[Row]:
     """On the wire, as a browser takes it; one page is open."""
     start = sum(_size(f"{address}{name}") for name in _FILES)
     with socket.create_connection((urlsplit(address).hostname, urlsplit(address).port)) as page:
@@ -125,12 +127,12 @@ def _transfer(address: str, pid: int, seconds: float) -> dict[str, float]:
         busy_s, begin_s = worked_s(pid), time.monotonic()
         steady = _taken(page, seconds)
         share = (worked_s(pid) - busy_s) / (time.monotonic() - begin_s)
-    return {
-        "transfer at start: files, kB": start / 1e3,
-        "transfer at start: first half second, kB": state / 1e3,
-        "transfer, steady, kB/s": steady / seconds / 1e3,
-        "server's share of a core, one page, %": 100 * share,
-    }
+    return [
+        _row("transfer at start, files", "kB", start / 1e3, 150.0, "the goal"),
+        _row("transfer at start, first half second", "kB", state / 1e3, 150.0, "the goal"),
+        _row("transfer, steady", "kB/s", steady / seconds / 1e3, 30.0, "the goal"),
+        _row("server, one page", "cores", share, 0.1, "the goal"),
+    ]
 
 
 def _size(address: str) -> int:
@@ -150,7 +152,7 @@ def _taken(page: socket.socket, seconds: float) -> int:
     return taken
 
 
-def _to_the_page(address: str, seconds: float) -> dict[str, float]:
+def _to_the_page(address: str, seconds: float) -> list[Row]:
     """Message to the bytes that tell a page."""
     late_ms: list[float] = []
     end_s = time.monotonic() + seconds
@@ -161,22 +163,14 @@ def _to_the_page(address: str, seconds: float) -> dict[str, float]:
                 robot = json.loads(line[6:]).get("set", {}).get("robot/r1", {})
                 if "at" in robot:
                     late_ms.append(1e3 * ((time.time() - robot["at"][0]) % _ROUND_M))
-    return _quantiles("message to page", late_ms)
+    return lateness_rows("page", "message to page", late_ms, _GOAL_MS)
 
 
-def _quantiles(what: str, late_ms: list[float]) -> dict[str, float]:
-    return {
-        f"{what}: changes seen": len(late_ms),
-        f"{what}, median, ms": float(np.median(late_ms)),
-        f"{what}, 95 %, ms": float(np.quantile(late_ms, 0.95)),
-    }
-
-
-def _to_pixels(address: str, seconds: float) -> dict[str, float]:
+def _to_pixels(address: str, seconds: float) -> list[Row]:
     """Message to pixels; nothing without Chromium."""
     chromium = shutil.which("chromium")
     if chromium is None:
-        return {}
+        return []
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
@@ -188,4 +182,4 @@ def _to_pixels(address: str, seconds: float) -> dict[str, float]:
         found = page.evaluate(_WATCH, seconds)
         browser.close()
     late_ms = [1e3 * ((now_ms / 1e3 - at_m) % _ROUND_M) for at_m, now_ms in found]
-    return _quantiles("message to pixels", late_ms)
+    return lateness_rows("page", "message to pixels", late_ms, _GOAL_MS)

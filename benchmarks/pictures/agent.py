@@ -146,8 +146,9 @@ def _stills(folder: Path, size: tuple[int, int]) -> Iterator[Frame]:
 def main(
     folders: Annotated[list[Path], typer.Argument(help="Each a camera's pictures.")],
     target: Annotated[Path, typer.Option(help="The target in them: one face in each picture.")],
-) -> None:
+) -> list[Row]:
     """Play folders of stills through an agent."""
+    rows = list[Row]()
     for folder in folders:
         shapes = [read_picture(file).shape[:2] for file in pictures_in(folder)]
         height, width = np.min(shapes, axis=0).tolist()
@@ -155,7 +156,9 @@ def main(
         with one_thread():
             _, [node] = played(frames, load_target(target), (width, height))
         pictures, faces = node.health.total("pictures"), node.health.total("faces")
-        typer.echo(
-            f"{folder.name}: a face published in {faces} of {pictures} pictures "
-            f"({faces / pictures:.3f}), {node.health.lost('given_up')} given up in part"
-        )
+        given_up, name = node.health.lost("given_up"), folder.name
+        rows += [
+            Row("shown", f"{name}, published", "faces", faces, pictures, "all pictures", True),
+            Row("shown", f"{name}, given up in part", "pictures", given_up, pictures, "all"),
+        ]
+    return rows

@@ -28,7 +28,7 @@ from .opencv_finders import (
     checkerboards_by_sectors,
     checkerboards_in_even_light,
 )
-from .scoring import Found, Score, score_of
+from .scoring import Found, score_of, score_rows, sigma_row
 from .views import Gallery, View, gallery
 
 OURS = "ours"
@@ -57,7 +57,7 @@ class Run(Struct):
 
 
 def run(effort: float = 1.0) -> list[Row]:
-    """Both kinds of target, at both sizes, at rest and driving."""
+    """Both kinds of target, at both sizes, driving: at rest all came out the same."""
     choices = ("charuco", "checkerboard")
     with one_thread():
         rows = [row for target in choices for size in _SIZES for row in _rows(target, size, effort)]
@@ -117,24 +117,22 @@ def one_thread() -> Iterator[None]:
 def _rows(choice: str, size: str, effort: float) -> list[Row]:
     """Times beside each of OpenCV's ways; what was found and how well, near and far."""
     driving = gallery(choice, size=_SIZES[size])
-    resting = gallery(choice, size=_SIZES[size], is_sharp=True)
     others = opencv_finders(driving.target, choice)
     finders = {OURS: our_finder(driving.target)} | others
-    count = share_of(_WITH_FACES[size], effort, least=2)
     what = f"{choice} {size}"
     empty = driving.without_faces(share_of(_EMPTY, effort))
     rows = _time_rows(f"{what}, empty picture", runs(finders, empty), others)
-    for name, pictures in (("at rest", resting), ("driving", driving)):
-        views = sorted(pictures.with_faces(count), key=_spacing)
-        done = runs(finders, views)
-        rows += _time_rows(f"{what} {name}, first search", done, others)
-        half = len(views) // 2
-        for part, which in (("far", slice(None, half)), ("near", slice(half, None))):
-            scores = {n: score_of(views[which], run.answers[which]) for n, run in done.items()}
-            first, *rest = others
-            for other in (first, *(n for n in rest if scores[n].errors != scores[first].errors)):
-                rows += _score_rows(f"{what} {name}, {part}", scores[OURS], scores[other], other)
-        rows.append(_sigma_row(f"{what} {name}", score_of(views, done[OURS].answers)))
+    count = share_of(_WITH_FACES[size], effort, least=2)
+    views = sorted(driving.with_faces(count), key=_spacing)
+    done = runs(finders, views)
+    rows += _time_rows(f"{what} driving, first search", done, others)
+    half = len(views) // 2
+    for part, which in (("far", slice(None, half)), ("near", slice(half, None))):
+        scores = {n: score_of(views[which], run.answers[which]) for n, run in done.items()}
+        first, *rest = others
+        for other in (first, *(n for n in rest if scores[n].errors != scores[first].errors)):
+            rows += score_rows(_row, f"{what} driving, {part}", scores[OURS], scores[other], other)
+    rows.append(sigma_row(_row, f"{what} driving", score_of(views, done[OURS].answers)))
     return rows + _tracked_rows(what, driving, others, size, effort)
 
 
@@ -156,8 +154,8 @@ def _tracked_rows(
     rows = _time_rows(f"{what} driving, found in the last picture", done, others)
     scores = {name: score_of(views, run.answers) for name, run in done.items()}
     first = next(iter(others))
-    rows += _score_rows(f"{what} driving, followed", scores[OURS], scores[first], first)
-    return [*rows, _sigma_row(f"{what} driving, followed", scores[OURS])]
+    rows += score_rows(_row, f"{what} driving, followed", scores[OURS], scores[first], first)
+    return [*rows, sigma_row(_row, f"{what} driving, followed", scores[OURS])]
 
 
 def _followed(
@@ -203,21 +201,5 @@ def _spacing(view: View) -> float:
     return max(whole, default=0.0)
 
 
-def _score_rows(what: str, ours: Score, other: Score, name: str) -> list[Row]:
-    both = ours.errors.keys() & other.errors.keys()
-    shares = (100 * ours.share, 100 * other.share)
-    rows = [_row(f"{what}, faces found", "%", *shares, name, more_is_better=True)]
-    if ours.wrong or other.wrong:
-        rows.append(_row(f"{what}, found where none is", "faces", ours.wrong, other.wrong, name))
-    error = (ours.rms(both), other.rms(both))
-    return [*rows, _row(f"{what}, corner error, found by both", "px", *error, name)]
-
-
 def _found(sighting: FaceSighting) -> Found:
     return Found(sighting.face, sighting.corners, sighting.pixels, sighting.sigma)
-
-
-def _sigma_row(what: str, ours: Score) -> Row:
-    """Neither more nor less is better than the same."""
-    what = f"{what}, corner error in its sigmas"
-    return _row(what, "1", ours.normalised_rms, 1.0, "a true sigma")

@@ -5,6 +5,7 @@ chessboard, at several sizes and turned, in which boards of many sizes are looke
 """
 
 from collections.abc import Iterable, Iterator
+from functools import partial
 from importlib.util import find_spec
 from typing import Annotated
 
@@ -12,6 +13,7 @@ import cv2
 import numpy as np
 import typer
 
+from benchmarks.table import Row
 from benchmarks.timing import worked
 from trigpoint.edge.detector import detector_for
 from trigpoint.site.target import NOWHERE, Face, Pattern, Target
@@ -23,6 +25,7 @@ from .views import gallery
 
 # Small ones are found by chance most easily.
 _SIZES = ((4, 3), (5, 4), (7, 4), (8, 5), (9, 7), (10, 7), (18, 8))
+_row = partial(Row, "false_sightings")
 _SCALES, _TURNS_DEG = (0.5, 1.0, 2.0), (0.0, 30.0)
 
 
@@ -40,30 +43,34 @@ def scenes() -> Iterator[tuple[str, np.ndarray]]:
                 yield f"{name} x {scale:g}, {turn:.0f} degrees", turned
 
 
-def count_sighted(pictures: Iterable[tuple[str, np.ndarray]], targets: dict[str, Target]) -> None:
-    """Look for each target in every picture, and say what is sighted."""
+def sighted_rows(
+    what: str, pictures: Iterable[tuple[str, np.ndarray]], targets: dict[str, Target]
+) -> list[Row]:
+    """Look for each target in every picture; what is sighted is said at once."""
     detectors = {name: detector_for([target]) for name, target in targets.items()}
     wrong = dict.fromkeys(detectors, 0)
-    seconds: dict[str, list[float]] = {name: [] for name in detectors}
+    took_ms: dict[str, list[float]] = {name: [] for name in detectors}
     for scene, picture in pictures:
         for name, detector in detectors.items():
             took, found = worked(lambda d=detector, p=picture: d.detect(p))
-            seconds[name].append(took)
+            took_ms[name].append(1e3 * took)
             wrong[name] += len(found)
             if found:
-                typer.echo(f"{name}: {len(found)} sighted in {scene}")
-    for name, took_s in seconds.items():
-        took = 1e3 * np.array(took_s)
-        typer.echo(
-            f"{name}: {wrong[name]} false sightings in {len(took)} pictures; {took.mean():.1f} ms "
-            f"a picture, {took.max():.0f} ms at most"
-        )
+                typer.echo(f"{name}: {len(found)} sighted in {scene}", err=True)
+    rows = list[Row]()
+    for name, took in took_ms.items():
+        title = f"{name} in {len(took)} {what}"
+        rows += [
+            _row(f"{title}, false sightings", "faces", wrong[name], 0.0, "none"),
+            _row(f"{title}, a picture at most", "ms", max(took), float(np.mean(took)), "the mean"),
+        ]
+    return rows
 
 
 def main(
     count: Annotated[int, typer.Option(help="How many drawn pictures.", min=1)] = 10_000,
     first: Annotated[int, typer.Option(help="The first one's number.", min=0)] = 0,
-) -> None:
+) -> list[Row]:
     """Look for boards in drawn pictures and photographs that show none."""
     lab = {name: gallery(name).target for name in ("checkerboard", "charuco")}
     lab["aprilgrid"] = Target("sheet", (APRILGRID,))
@@ -75,8 +82,8 @@ def main(
     }
     drawn = enumerate(empty_pictures(count, first=first), first)
     with one_thread():
-        count_sighted(((f"picture {number}", picture) for number, picture in drawn), lab)
+        found = sighted_rows("drawn", ((f"picture {n}", picture) for n, picture in drawn), lab)
         if find_spec("skimage"):
-            count_sighted(scenes(), boards | lab)
-        else:
-            typer.echo("photographs: left out; pip install -c constraints.txt -e '.[bench]'")
+            return found + sighted_rows("photographs", scenes(), boards | lab)
+    typer.echo("photographs: left out; pip install -c constraints.txt -e '.[bench]'", err=True)
+    return found

@@ -6,6 +6,7 @@ traffic and changing light, then hours in which nothing is touched.
 """
 
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -13,6 +14,7 @@ import cv2
 import numpy as np
 import typer
 
+from benchmarks.table import Row
 from benchmarks.timing import worked
 from trigpoint.edge.background.watch import BackgroundWatch, View
 
@@ -33,6 +35,7 @@ _ROOMS = ("coffee", "motorcycle_left", "rocket", "astronaut", "camera", "brick")
 _LOOKS = ("astronaut", "camera", "chelsea", "coins", "grass", "page", "motorcycle_right", "cell")
 _BEFORE_S, _AFTER_S, _IN_TIME_S = 45, 30, 3.0
 _PICTURES_HZ = 10
+_row = partial(Row, "nudged")
 
 
 def rooms(folder: Path | None, most: int = 12) -> dict[str, np.ndarray]:
@@ -62,10 +65,11 @@ def delay_of(hour: StillHour, stand: Stand, random: np.random.Generator) -> tupl
     return np.inf, was_seen
 
 
-def nudges(worlds: dict[str, np.ndarray], looks: list[np.ndarray], count: int) -> Iterator[str]:
-    """A line for each kind of nudge."""
-    for number, (what, stand) in enumerate(NUDGES.items()):
-        seen, hidden = [], []
+def nudges(worlds: dict[str, np.ndarray], looks: list[np.ndarray], count: int) -> Iterator[Row]:
+    """Of each kind of nudge how many are noticed, how soon, and how many that night or people
+    hide."""
+    for number, (kind, stand) in enumerate(NUDGES.items()):
+        seen, hidden = list[float](), list[float]()
         for trial in range(count):
             random = np.random.default_rng([number, trial])
             world = list(worlds.values())[trial % len(worlds)]
@@ -73,19 +77,20 @@ def nudges(worlds: dict[str, np.ndarray], looks: list[np.ndarray], count: int) -
             delay_s, was_seen = delay_of(hour, stand, random)
             (seen if was_seen else hidden).append(delay_s)
         delays = np.array(seen or [np.inf])
-        in_time = float(np.mean(delays <= _IN_TIME_S))
-        yield (
-            f"{what}: {len(seen)} with the background in sight: {in_time:.1%} noticed within 3 s, "
-            f"{np.mean(delays < np.inf):.1%} within 30 s, median "
-            f"{np.median(delays):.1f} s; {len(hidden)} hidden (night, people): "
-            f"{sum(delay < np.inf for delay in hidden)} within 12 s"
-        )
+        noticed = partial(_row, more_is_better=True)
+        against = f"of {len(seen)} with the background in sight"
+        for limit_s, goal in ((_IN_TIME_S, 99.0), (float(_AFTER_S), 100.0)):
+            share = 100 * float(np.mean(delays <= limit_s))
+            yield noticed(f"{kind}, noticed within {limit_s:.0f} s", "%", share, goal, against)
+        yield _row(f"{kind}, noticed after, median", "s", np.median(delays), _IN_TIME_S, against)
+        late = sum(delay < np.inf for delay in hidden)
+        yield noticed(f"{kind}, noticed within 12 s", "nudges", late, len(hidden), "all hidden")
 
 
 def hours(
     worlds: dict[str, np.ndarray], looks: list[np.ndarray], count: int, seconds: int
-) -> Iterator[str]:
-    """A line for each drawn hour in which nothing is touched, and one for all of them."""
+) -> Iterator[Row]:
+    """Of each drawn hour in which nothing is touched, and of all of them."""
     alarms, seen_s, worst = 0, 0, 0.0
     for hour in range(count):
         random = np.random.default_rng([99, hour])
@@ -100,15 +105,14 @@ def hours(
         alarms, seen_s = alarms + watch.count, seen_s + views[View.STILL]
         worst = max(worst, highest)
         shares = ", ".join(f"{view} {number / seconds:.0%}" for view, number in views.items())
-        yield f"{name}: {watch.count} alarms, suspicion up to {highest:.2f}; {shares}"
-    yield (
-        f"{count * seconds / 3600:.1f} drawn hours, {seen_s / 3600:.1f} of them with the "
-        f"background in sight: {alarms} false alarms; suspicion up to {worst:.2f} of 1"
-    )
+        yield _row(f"hour {hour}, {name}: {shares}; suspicion", "1", highest, 1.0, "an alarm's")
+    drawn, seen = count * seconds / 3600, seen_s / 3600
+    yield _row("false alarms", "1", alarms, 0.0, f"of {drawn:.1f} h, {seen:.1f} in sight")
+    yield _row("suspicion, the most", "1", worst, 1.0, "an alarm's")
 
 
-def cost(world: np.ndarray) -> str:
-    """Milliseconds of work a comparison, the best of many, and the reference's memory."""
+def cost(world: np.ndarray) -> Iterator[Row]:
+    """What a comparison at 640 × 480 takes, the best of many, and the reference's memory."""
     random = np.random.default_rng(5)
     scene, watch = StillScene(world, random, width=640, height=480), BackgroundWatch()
     pictures = [scene.picture() for _ in range(200)]
@@ -116,11 +120,9 @@ def cost(world: np.ndarray) -> str:
         1e3 * worked(lambda p=picture, s=second: watch.look(p, s * 10**9))[0]
         for second, picture in enumerate(pictures)
     ]
-    return (
-        f"a comparison at 640 × 480: {min(took_ms[1:]):.2f} ms at best, "
-        f"{np.median(took_ms):.2f} ms in the median; the reference takes "
-        f"{watch.size_bytes / 1e3:.0f} kB"
-    )
+    median = float(np.median(took_ms))
+    yield _row("a comparison, at best", "ms", min(took_ms[1:]), median, "the median")
+    yield _row("the reference", "kB", watch.size_bytes / 1e3, 640 * 480 / 1e3, "a picture")
 
 
 def main(
@@ -128,13 +130,13 @@ def main(
     count: Annotated[int, typer.Option(help="Nudges of each kind.")] = 60,
     hour: Annotated[int, typer.Option(help="Drawn hours.")] = 12,
     seconds: Annotated[int, typer.Option(help="Of each hour.")] = 3600,
-) -> None:
-    """Say how nudges are noticed."""
+) -> list[Row]:
+    """Nudge cameras, and leave them alone."""
     with one_thread():
         worlds = rooms(pictures)
         looks = [photographs()[name] for name in _LOOKS]
-        typer.echo(cost(worlds["coffee"]))
-        for line in nudges(worlds, looks, count):
-            typer.echo(line)
-        for line in hours(worlds, looks, hour, seconds):
-            typer.echo(line)
+        return [
+            *cost(worlds["coffee"]),
+            *nudges(worlds, looks, count),
+            *hours(worlds, looks, hour, seconds),
+        ]

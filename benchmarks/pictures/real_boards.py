@@ -2,9 +2,7 @@
 without a board, beside the finders of OpenCV, calib-targets and AprilTag: the median of
 milliseconds, and how many boards are found whole. Then what follows a first search."""
 
-import multiprocessing
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -13,10 +11,8 @@ import cv2
 import numpy as np
 import typer
 
-from benchmarks.machine import machine
-from benchmarks.report import tell, write_report
 from benchmarks.table import Row
-from benchmarks.timing import worked
+from benchmarks.timing import in_new_process, worked
 from trigpoint.edge.tracker import TargetTracker
 from trigpoint.site.target import Face, Pattern, Target
 
@@ -38,20 +34,13 @@ _APART_NS = 30_000_000
 
 def main(
     data: Annotated[Path, typer.Option(help="The folder with the sets.")] = Path("../shared/data"),
-    json: Annotated[Path, typer.Option(help="Where the rows are written.")] = Path(
-        "out/real_boards.json"
-    ),
-) -> None:
+) -> list[Row]:
     """First searches of real pictures, and what follows them, beside other finders."""
-    before, rows = machine(), list[Row]()
     with one_thread():
-        for pictured in SETS:
-            rows += _set_rows(pictured, data)
+        rows = [row for pictured in SETS for row in _set_rows(pictured, data)]
         rows += _empty_rows()
         rows += [_followed_row(choice) for choice in ("charuco", "checkerboard")]
-        rows += _start_rows(data)
-    tell(rows)
-    write_report(json, rows, before, effort=1.0)
+        return rows + _start_rows(data)
 
 
 def _set_rows(pictured: PictureSet, data: Path) -> list[Row]:
@@ -112,9 +101,7 @@ def _start_rows(data: Path) -> list[Row]:
         picture = next(pictured.pictures(data), None)
         if picture is None:
             continue
-        context = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(1, mp_context=context) as pool:
-            first, following = pool.submit(_first_two, pictured.face, picture).result()
+        first, following = in_new_process(_first_two, pictured.face, picture)
         what = f"first picture after the start, {pattern.value}"
         rows.append(_row(what, "ms", 1e3 * first, 1e3 * following, "the next"))
     return rows

@@ -1,9 +1,11 @@
 """What a finder found, held against the truth."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 from msgspec import Struct, field
+
+from benchmarks.table import Row
 
 from .views import TrueFace, View
 
@@ -68,6 +70,25 @@ def score_of(views: list[View], answers: list[list[Found]]) -> Score:
         score.whole += view.whole
         score.found += sum(true.is_whole and true.face.id in seen for true in view.faces)
     return score
+
+
+def score_rows(
+    row: Callable[..., Row], what: str, ours: Score, other: Score, name: str
+) -> list[Row]:
+    """Our score beside another finder's; `row`: makes one of a benchmark's rows."""
+    both = ours.errors.keys() & other.errors.keys()
+    shares = (100 * ours.share, 100 * other.share)
+    rows = [row(f"{what}, faces found", "%", *shares, name, more_is_better=True)]
+    if ours.wrong or other.wrong:
+        rows.append(row(f"{what}, found where none is", "faces", ours.wrong, other.wrong, name))
+    error = (ours.rms(both), other.rms(both))
+    return [*rows, row(f"{what}, corner error, found by both", "px", *error, name)]
+
+
+def sigma_row(row: Callable[..., Row], what: str, ours: Score) -> Row:
+    """Neither more nor less is better than the same."""
+    what = f"{what}, corner error in its sigmas"
+    return row(what, "1", ours.normalised_rms, 1.0, "a true sigma")
 
 
 def _rms(distances: list[float]) -> float:

@@ -43,16 +43,14 @@ class View(Struct, frozen=True, eq=False):
 class Gallery:
     """The pictures of the demo's drive with one kind of target, taken when asked for.
 
-    `size`: width and height of the pictures, the lab's own where it is left out; `is_sharp`: taken
-    with so short an exposure that nothing moves.
+    `size`: width and height of the pictures, the lab's own where it is left out.
     """
 
-    def __init__(
-        self, target: str, *, size: tuple[int, int] | None = None, is_sharp: bool = False
-    ) -> None:
+    def __init__(self, target: str, *, size: tuple[int, int] | None = None) -> None:
         self.world: World = load_world("lab", seed=SEED, target=target)
-        for name, camera in self.world.cameras.items():
-            self.world.cameras[name] = _other(camera, size, is_sharp=is_sharp)
+        if size is not None:
+            for name, camera in self.world.cameras.items():
+                self.world.cameras[name] = _other(camera, size)
         self._renderers = {name: CameraRenderer(self.world, name) for name in self.world.cameras}
 
     @property
@@ -133,21 +131,15 @@ def _is_front(true: TrueFace) -> bool:
 
 
 @cache
-def gallery(target: str, *, size: tuple[int, int] | None = None, is_sharp: bool = False) -> Gallery:
+def gallery(target: str, *, size: tuple[int, int] | None = None) -> Gallery:
     """The gallery of a kind of target; its rooms are drawn once."""
-    return Gallery(target, size=size, is_sharp=is_sharp)
+    return Gallery(target, size=size)
 
 
-def _other(
-    camera: SimulatedCamera, size: tuple[int, int] | None, *, is_sharp: bool
-) -> SimulatedCamera:
+def _other(camera: SimulatedCamera, size: tuple[int, int]) -> SimulatedCamera:
     """The camera with as wide a view on a sensor of `size`."""
-    exposure_s = 0.0 if is_sharp else camera.exposure_s
-    if size is None:
-        return replace(camera, exposure_s=exposure_s)
     old, (width, height) = camera.model, size
     by = width / old.width
     cx, cy = width / 2 + by * (old.cx - old.width / 2), height / 2 + by * (old.cy - old.height / 2)
     wide = {"width": width, "height": height, "fx": by * old.fx, "fy": by * old.fy}
-    model = replace(old, **wide, cx=cx, cy=cy)
-    return replace(camera, model=model, exposure_s=exposure_s)
+    return replace(camera, model=replace(old, **wide, cx=cx, cy=cy))

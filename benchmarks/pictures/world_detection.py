@@ -6,7 +6,7 @@ from functools import partial
 from benchmarks.table import Row, share_of
 
 from .detection import OURS, one_thread, opencv_finders, our_finder, runs
-from .scoring import Found, score_of
+from .scoring import Found, score_of, score_rows, sigma_row
 from .views import View
 from .world_views import FACES, KINDS, target_of, world_views
 
@@ -31,17 +31,10 @@ def _rows(choice: str, kind: str, count: int) -> list[Row]:
     share = 100 * _corner_share(views, done[OURS].answers)
     rows.append(_row(f"{what}, corners found", "%", share, 100.0, "all", more_is_better=True))
     for name in others:
-        other = scores[name]
-        both = ours.errors.keys() & other.errors.keys()
-        found = (100 * ours.share, 100 * other.share)
-        rows.append(_row(f"{what}, faces found", "%", *found, name, more_is_better=True))
-        error = (ours.rms(both), other.rms(both))
-        rows.append(_row(f"{what}, corner error, found by both", "px", *error, name))
+        rows += score_rows(_row, what, ours, scores[name], name)
         took = (done[OURS].milliseconds, done[name].milliseconds)
         rows.append(_row(f"{what}, first search", "ms", *took, name))
-    rows.append(_row(f"{what}, found where none is", "faces", ours.wrong, 0.0, "none"))
-    sigma = ours.normalised_rms
-    return [*rows, _row(f"{what}, corner error in its sigmas", "1", sigma, 1.0, "a true sigma")]
+    return [*rows, sigma_row(_row, what, ours)]
 
 
 def _corner_share(views: list[View], answers: list[list[Found]]) -> float:

@@ -8,17 +8,15 @@ import typer
 
 from benchmarks.compositions.files import write_composition
 from benchmarks.compositions.recipe import KINDS
-from benchmarks.compositions.report import line_of_score
-from benchmarks.compositions.report import write_report as write_compositions
-from benchmarks.compositions.score import Score
 from benchmarks.compositions.session import composed_session
 from trigpoint.base.errors import TrigpointError
 
-from .measure import Measure
-from .report import line_of, write_report
+from . import report_compositions, report_situations
+from .result import Result
 from .situations import SITUATIONS
 from .store import ESTIMATORS, Job, Store, jobs_of, open_jobs
 from .store import run as run_jobs
+from .summary import line_of
 
 FOLDER = Path("out/study")
 PAGES = Path("docs/background")
@@ -65,7 +63,7 @@ def run(
     for count, (job, found) in enumerate(
         run_jobs(store, jobs, processes=processes, limit_s=limit), start=1
     ):
-        is_bad |= isinstance(found, BaseException) or (isinstance(found, Score) and found.is_bad)
+        is_bad |= isinstance(found, BaseException) or found.is_bad
         typer.echo(f"{count}/{len(jobs)} {_said(job, found)}", err=True)
     if is_bad:
         typer.echo("some sessions have no result or a wrong one; see above", err=True)
@@ -83,12 +81,10 @@ def report(
     """Write docs/background/accuracy.md of situations and compositions.md of compositions, each
     where there is something."""
     store, written = Store(folder), list[Path]()
-    measures = {n: store.kept(n, Measure, of_any_sources=of_any_sources) for n in SITUATIONS}
-    if any(m.estimator == "smoother" for found in measures.values() for m in found):
-        written.append(write_report(measures, docs))
-    scores = {n: store.kept(n, Score, of_any_sources=of_any_sources) for n in KINDS}
-    if any(scores.values()):
-        written.append(write_compositions(scores, docs))
+    for names, page in ((SITUATIONS, report_situations), (KINDS, report_compositions)):
+        found = {name: store.kept(name, of_any_sources=of_any_sources) for name in names}
+        if any(one.estimator == "smoother" for results in found.values() for one in results):
+            written.append(page.write_report(found, docs))
     if not written:
         why = "the smoother worked nothing out yet with these sources; say run"
         typer.echo(f"{folder}: {why}", err=True)
@@ -132,9 +128,7 @@ def _range(text: str) -> range:
     return range(int(first), int(last) + 1) if separator else range(int(first))
 
 
-def _said(job: Job, found: Measure | Score | BaseException) -> str:
-    if isinstance(found, Score):
-        return line_of_score(found)
-    if isinstance(found, Measure):
+def _said(job: Job, found: Result | BaseException) -> str:
+    if isinstance(found, Result):
         return line_of(found)
-    return f"{job.situation} {job.seed} {job.estimator}: {type(found).__name__}: {found}"
+    return f"{job.session} {job.seed} {job.estimator}: {type(found).__name__}: {found}"

@@ -7,18 +7,18 @@ import copy
 from collections.abc import Mapping
 
 import numpy as np
-from msgspec import Struct, field, structs
+from msgspec import Struct, field
 from msgspec.structs import replace
 
+from benchmarks.compositions.carried import mounted
+from benchmarks.compositions.room import one_to_one
 from trigpoint.contract.messages import FaceSighting
 from trigpoint.geometry import CameraModel, Pose
-from trigpoint.site.target import Face, Target
+from trigpoint.site.target import Target
 from trigpoint.tools.simulation.motion.actors import Lift, Move, SimulatedCamera, SimulatedRobot
 from trigpoint.tools.simulation.motion.odometry import chained, drawn_scales
 from trigpoint.tools.simulation.motion.way import Way, scattered
 from trigpoint.tools.simulation.world import Shown, World
-
-_MOST_DRAWS = 100
 
 
 class LensSpread(Struct, frozen=True):
@@ -117,9 +117,8 @@ def _scattered(world: World, robot: SimulatedRobot, times_s: list[np.ndarray]) -
 def _camera(world: World, camera: SimulatedCamera, disturbance: Disturbance) -> SimulatedCamera:
     random = world.random("camera as it is", camera.name)
     offset_s = float(random.normal(0.0, 1.0)) * disturbance.time_offset_s
-    model = camera.model
-    if disturbance.lens is not None:
-        model = _drawn_lens(model, disturbance.lens, random)
+    told, spread = camera.model, disturbance.lens
+    model = told if spread is None else one_to_one(lambda: _about(told, spread, random))
     moves = disturbance.moves.get(camera.name, ())
     line_delay_s = disturbance.line_delay_s or camera.line_delay_s
     return replace(
@@ -127,25 +126,9 @@ def _camera(world: World, camera: SimulatedCamera, disturbance: Disturbance) -> 
     )
 
 
-def _drawn_lens(told: CameraModel, spread: LensSpread, random: np.random.Generator) -> CameraModel:
-    """A lens about the told one that maps the whole picture one to one; others are drawn again."""
-    for _ in range(_MOST_DRAWS):
-        draw = random.standard_normal(len(told.parameters)) * spread.sigmas(told)
-        lens = told.with_parameters(told.parameters + draw)
-        if maps_one_to_one(lens):
-            return lens
-    raise ValueError("hardly any lens of this spread maps its picture one to one; lower it")
-
-
-def maps_one_to_one(lens: CameraModel) -> bool:
-    """Whether every pixel at the picture's edge has a direction that the lens brings there."""
-    u, v = np.linspace(0, lens.width - 1, 9), np.linspace(0, lens.height - 1, 9)
-    sides = [np.column_stack([u, np.full(9, y)]) for y in (v[0], v[-1])]
-    sides += [np.column_stack([np.full(9, x), v]) for x in (u[0], u[-1])]
-    directions = lens.directions(np.vstack(sides))
-    if not np.all(np.isfinite(directions)):
-        return False
-    return bool(np.all(lens.sees(np.column_stack([directions, np.ones(len(directions))]))))
+def _about(told: CameraModel, spread: LensSpread, random: np.random.Generator) -> CameraModel:
+    draw = random.standard_normal(len(told.parameters)) * spread.sigmas(told)
+    return told.with_parameters(told.parameters + draw)
 
 
 def _robot(world: World, robot: SimulatedRobot, disturbance: Disturbance) -> SimulatedRobot:
@@ -155,22 +138,6 @@ def _robot(world: World, robot: SimulatedRobot, disturbance: Disturbance) -> Sim
     random = world.random("target as it is", robot.name)
     truly = mounted(robot.target, disturbance.mount_m, disturbance.mount_rad, random)
     return replace(robot, lifts=lifts, mounted=truly)
-
-
-def mounted(target: Target, metres: float, radians: float, random: np.random.Generator) -> Target:
-    """The target as it truly is, each face off by normal draws."""
-    sigma = np.repeat([metres, radians], 3)
-    faces = (_moved(face, random.standard_normal(6) * sigma) for face in target.faces)
-    return Target(target.name, tuple(faces))
-
-
-def _moved(face: Face, by: np.ndarray) -> Face:
-    pose = face.base_from_face.disturbed(by)
-    return structs.replace(
-        face,
-        translation=tuple(float(value) for value in pose.translation),
-        quaternion=tuple(float(value) for value in pose.quaternion),
-    )
 
 
 def disturbed_sighting(

@@ -19,19 +19,14 @@ Views = dict[str, list[tuple[float, dict[str, list[SeenFace]]]]]
 """Of each camera: the times of its pictures and the faces of each robot in them, without noise."""
 
 
-class Truth(Struct, frozen=True, eq=False):
-    """What an oracle knows of a session. `world`: as it truly was.
-
-    `sighted`: (camera, stamp) to what each sighting of that picture shows, in the message's order.
-    """
+class Simulated(Struct, frozen=True, eq=False):
+    """`messages`: (camera or robot, message) in the order in which they arrive. What an oracle
+    knows of them: `world`, as it truly was; `sighted`: (camera, stamp) to what each sighting of
+    that picture shows, in the message's order."""
 
     world: World
+    messages: list[tuple[str, Message]] = field(default_factory=list)
     sighted: dict[tuple[str, int], tuple[Shown, ...]] = field(default_factory=dict)
-
-    @property
-    def start_ns(self) -> int:
-        """The stamp of world time 0."""
-        return EPOCH_NS
 
     @property
     def cameras(self) -> dict[str, Pose]:
@@ -44,7 +39,9 @@ class Truth(Struct, frozen=True, eq=False):
         return {name: camera.model for name, camera in self.world.cameras.items()}
 
     def moved_ns(self, camera: str) -> list[int]:
-        return [EPOCH_NS + to_ns(move.at_s) for move in self.world.cameras[camera].moves]
+        """When a camera was moved while the session lasted."""
+        moves = self.world.cameras[camera].moves
+        return [EPOCH_NS + to_ns(move.at_s) for move in moves if move.at_s > 0]
 
     def lifted_ns(self, robot: str) -> list[int]:
         return [EPOCH_NS + to_ns(lift.at_s) for lift in self.world.robots[robot].lifts]
@@ -54,18 +51,11 @@ class Truth(Struct, frozen=True, eq=False):
         return self.world.map_from_base(robot, (np.asarray(stamps_ns) - EPOCH_NS) / 1e9)
 
 
-class Simulated(Struct, frozen=True, eq=False):
-    """`messages`: (camera or robot, message) in the order in which they arrive."""
-
-    messages: list[tuple[str, Message]]
-    truth: Truth
-
-
 def simulated(world: World, disturbance: Disturbance) -> Simulated:
     """A session of a world under a disturbance, its true ways by the letter of the contract."""
     actual = with_ways(disturbed(world, disturbance))
     views = views_of(actual)
-    truth = Truth(actual)
+    session = Simulated(actual)
     arrivals: list[tuple[int, str, Message]] = []
     for robot in actual.robots:
         arrivals += [(m.stamp_ns, robot, m) for m in _odometry(actual, robot, disturbance)]
@@ -73,10 +63,11 @@ def simulated(world: World, disturbance: Disturbance) -> Simulated:
         # A picture comes after the odometry that is no younger.
         arrivals += [
             (message.stamp_ns + late_ns + 1, camera, message)
-            for message, late_ns in _sightings(truth, camera, views[camera], disturbance)
+            for message, late_ns in _sightings(session, camera, views[camera], disturbance)
         ]
     arrivals.sort(key=itemgetter(0))
-    return Simulated([(node, message) for _, node, message in arrivals], truth)
+    session.messages.extend((node, message) for _, node, message in arrivals)
+    return session
 
 
 def views_of(world: World) -> Views:
@@ -111,13 +102,13 @@ def _odometry(world: World, robot: str, disturbance: Disturbance) -> Iterator[Od
 
 
 def _sightings(
-    truth: Truth,
+    session: Simulated,
     camera: str,
     views: list[tuple[float, dict[str, list[SeenFace]]]],
     disturbance: Disturbance,
 ) -> Iterator[tuple[Sightings, int]]:
     """The messages of a camera that have a sighting, and how late each one is."""
-    world, eye = truth.world, truth.world.cameras[camera]
+    world, eye = session.world, session.world.cameras[camera]
     taken: list[tuple[float, tuple[Shown, ...]]] = []
     for t_s, seen in views:
         random = world.random("wrong sightings", camera, round(t_s * 1e6))
@@ -131,7 +122,7 @@ def _sightings(
         taken = _best(taken, disturbance.pictures[camera])
     for t_s, faces in taken:
         stamp_ns = EPOCH_NS + to_ns(t_s + eye.time_offset_s)
-        truth.sighted[camera, stamp_ns] = faces
+        session.sighted[camera, stamp_ns] = faces
         size = (eye.model.width, eye.model.height)
         sent = tuple(face.sighting for face in faces)
         message = Sightings(stamp_ns, f"{camera}/optical", *size, sent)

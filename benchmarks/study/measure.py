@@ -1,11 +1,11 @@
-"""What is measured of one session: errors in units of the bound and of the estimator's own sigmas.
+"""What is measured of one session of a situation: errors in units of the bound and of the
+estimator's own sigmas.
 
 Measures are joint over all located cameras: e stacks their 6n errors by the contract's convention.
 """
 
 import time
 
-import msgspec
 import numpy as np
 
 from trigpoint.fusion.estimators.results import Results
@@ -13,6 +13,7 @@ from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.tools.networks.cramer_rao import Bound
 
+from .result import Camera, Result, Verdict
 from .session import StudySession, simulated_session, worked_out
 
 # An error of so many sigmas of the bound (the root of eᵀP⁻¹e/6 of one camera) is no noise: another
@@ -22,36 +23,7 @@ GROSS = 8.0
 DECIDED_M = 0.25
 
 
-class Measure(msgspec.Struct, frozen=True, tag=True):
-    """One session. `efficiency` and `honesty`: eᵀP⁻¹e/6n, P the bound and the estimator's own joint
-    covariance, None where no camera was located; `distance` and `distance_bound`: mean error of the
-    distances between cameras, metres, and what the bound expects of it; `seconds`: processor time
-    of the estimator alone.
-
-    `located`, `wrong` (located, but grossly elsewhere), `undetermined` (though the data decide),
-    `left_open` (not located, since the data leave it open), `made_up` (located, though never seen
-    or left open): cameras. `rejected`: observations set aside.
-    """
-
-    situation: str
-    seed: int
-    estimator: str
-    efficiency: float | None
-    honesty: float | None
-    distance: float
-    distance_bound: float
-    seconds: float
-    located: list[str]
-    wrong: list[str]
-    undetermined: list[str]
-    made_up: list[str]
-    earlier: list[str]
-    rejected: int
-    chi2_per_dof: float | None
-    left_open: list[str] = msgspec.field(default_factory=list)
-
-
-def measured(name: str, seed: int, *, estimator: str = "smoother") -> Measure:
+def measured(name: str, seed: int, *, estimator: str = "smoother") -> Result:
     """Simulate, work out and measure a session."""
     session = simulated_session(name, seed, estimator=estimator)
     began = time.process_time()
@@ -60,32 +32,39 @@ def measured(name: str, seed: int, *, estimator: str = "smoother") -> Measure:
     return measure_of(session, results, seconds)
 
 
-def measure_of(session: StudySession, results: Results, seconds: float) -> Measure:
+def measure_of(session: StudySession, results: Results, seconds: float) -> Result:
     """The measures of results that took so many seconds."""
-    bound, network, is_open = session.bound, results.network, session.left_open
-    truth = session.simulated.truth.cameras
+    bound, network = session.bound, results.network
+    truth, is_open = session.simulated.cameras, session.left_open
     located = [name for name in network.located if name in bound.cameras]
-    missing = [name for name in truth if name not in network.located]
     error = np.array([_pose(results, name).difference(truth[name]) for name in located])
-    least = bound.of(located)
-    own = _rows(results, located)
-    return Measure(
-        situation=session.name,
+    errors = dict(zip(located, error, strict=True))
+    least, own = bound.of(located), _rows(results, located)
+
+    def verdict(name: str) -> Verdict:
+        if name in errors and _is_gross(errors[name], bound.of([name])):
+            return Verdict.WRONG
+        if name in network.located:
+            is_sound = name in errors and name not in is_open
+            return Verdict.RIGHT if is_sound else Verdict.MADE_UP
+        if name in is_open:
+            return Verdict.LEFT_OPEN
+        return Verdict.MISSED if _is_decided(bound, name) else Verdict.UNKNOWN
+
+    return Result(
+        session=session.name,
         seed=session.seed,
         estimator=session.inputs.site.fusion.estimator,
+        seconds=seconds,
+        cameras=[
+            Camera(name, verdict(name), is_moved=bool(network.cameras[name].earlier))
+            for name in truth
+        ],
         efficiency=_normalised(error, least.covariance) if located else None,
         honesty=_normalised(error, own) if located else None,
         distance=_distance_error(error, least),
         distance_bound=least.mean_distance_error,
-        seconds=seconds,
-        located=located,
-        wrong=[n for i, n in enumerate(located) if _is_gross(error[i], bound.of([n]))],
-        undetermined=[n for n in missing if _is_decided(bound, n) and n not in is_open],
-        made_up=[n for n in network.located if n not in bound.cameras or n in is_open],
-        earlier=[name for name, camera in network.cameras.items() if camera.earlier],
         rejected=sum(camera.rejected for camera in network.cameras.values()),
-        chi2_per_dof=network.statistics.chi2_per_dof,
-        left_open=[name for name in missing if name in is_open],
     )
 
 

@@ -21,7 +21,7 @@ from trigpoint.geometry import Pose
 from trigpoint.tools.networks.cramer_rao import Bound, Oracle, cramer_rao
 from trigpoint.tools.simulation.world import Shown
 
-from .in_memory import Simulated, Truth
+from .in_memory import Simulated
 
 
 def bound_of(inputs: Inputs, session: Simulated) -> Bound:
@@ -31,19 +31,18 @@ def bound_of(inputs: Inputs, session: Simulated) -> Bound:
 
 def known_to_oracle(inputs: Inputs, session: Simulated) -> tuple[DataSet, Oracle]:
     """What came in, and the truth of it."""
-    truth = session.truth
     data = _data(inputs, session)
     for robot, track in data.tracks.items():
         for node, message in session.messages:
             if node == robot and isinstance(message, Odometry):
                 track.add(message.stamp_ns, message.pose)
-    world = truth.world
+    world = session.world
     oracle = Oracle(
-        cameras=_cameras(truth),
-        places=_places(data, truth),
+        cameras=_cameras(session),
+        places=_places(data, session),
         scale_errors={name: world.odometry(name).scale_errors for name in world.robots},
         base_from_face={n: base_from_faces(r.carried) for n, r in world.robots.items()},
-        lifted_ns={name: truth.lifted_ns(name) for name in world.robots},
+        lifted_ns={name: session.lifted_ns(name) for name in world.robots},
     )
     return data, oracle
 
@@ -53,11 +52,11 @@ def _data(inputs: Inputs, session: Simulated) -> DataSet:
     site, lenses = inputs.site, dict(inputs.lenses)
     cameras = dict(site.cameras)
     for name in inputs.site.cameras:
-        for k in range(_hung_before(session.truth, name)):
+        for k in range(len(session.moved_ns(name))):
             cameras[f"{name}@{k}"] = cameras[name]
             lenses[f"{name}@{k}"] = lenses[name]
     site = msgspec.structs.replace(site, cameras=cameras)
-    moved = {n for n in inputs.known.poses if session.truth.world.cameras[n].moves}
+    moved = {n for n in inputs.known.poses if session.world.cameras[n].moves}
     return DataSet(site, inputs.targets, lenses, _kept(inputs.known, moved))
 
 
@@ -72,15 +71,10 @@ def _kept(known: KnownCameras, moved: set[str]) -> KnownCameras:
     return KnownCameras({name: known.poses[name] for name in names}, information)
 
 
-def _hung_before(truth: Truth, camera: str) -> int:
-    """How many poses a camera had in the session before its last one."""
-    return sum(move.at_s > 0 for move in truth.world.cameras[camera].moves)
-
-
-def _cameras(truth: Truth) -> dict[str, CameraState]:
+def _cameras(session: Simulated) -> dict[str, CameraState]:
     cameras = {}
-    for name, camera in truth.world.cameras.items():
-        last = CameraState(truth.cameras[name], camera.model, camera.time_offset_s)
+    for name, camera in session.world.cameras.items():
+        last = CameraState(session.cameras[name], camera.model, camera.time_offset_s)
         cameras[name] = last
         moves = [move for move in camera.moves if move.at_s > 0]
         for k, move in enumerate(moves):
@@ -89,31 +83,31 @@ def _cameras(truth: Truth) -> dict[str, CameraState]:
     return cameras
 
 
-def _places(data: DataSet, truth: Truth) -> list[tuple[Observation, Pose]]:
+def _places(data: DataSet, session: Simulated) -> list[tuple[Observation, Pose]]:
     """Every observation that has a good corner, as it is to be read, where the robot stood."""
     observations, stamps = [], []
-    for (camera, stamp_ns), faces in truth.sighted.items():
-        true_ns = stamp_ns - to_ns(truth.world.cameras[camera].time_offset_s)
+    for (camera, stamp_ns), faces in session.sighted.items():
+        true_ns = stamp_ns - to_ns(session.world.cameras[camera].time_offset_s)
         for robot in data.targets:
             track = data.tracks[robot]
             if not track.first_ns <= true_ns <= track.last_ns or track.is_in_gap(true_ns):
                 continue
             shown = [face for face in faces if face.robot == robot and face.is_good.any()]
             if shown:
-                name = _as_it_hung(truth, camera, true_ns)
+                name = _as_it_hung(session, camera, true_ns)
                 observation = _observation(data, name, stamp_ns, shown)
                 # A rolling shutter sees it a little before or after the picture's stamp.
                 observations.append(observation)
                 stamps.append(true_ns + observation.stamp_ns - stamp_ns)
     places = []
     for observation, true_ns in zip(observations, stamps, strict=True):
-        pose = truth.map_from_base(observation.robot, np.array([true_ns]))[0]
+        pose = session.map_from_base(observation.robot, np.array([true_ns]))[0]
         places.append((observation, pose))
     return places
 
 
-def _as_it_hung(truth: Truth, camera: str, true_ns: int) -> str:
-    moved_ns = [m for m in truth.moved_ns(camera) if m > truth.start_ns]
+def _as_it_hung(session: Simulated, camera: str, true_ns: int) -> str:
+    moved_ns = session.moved_ns(camera)
     k = sum(true_ns >= moment for moment in moved_ns)
     return camera if k == len(moved_ns) else f"{camera}@{k}"
 

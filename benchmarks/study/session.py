@@ -30,8 +30,7 @@ from .decidable_lifts import left_open
 from .decidable_robots import left_open_by_robots
 from .in_memory import Simulated, simulated
 from .oracle import bound_of, known_to_oracle
-from .situation import Known, Situation
-from .situations import NEW_CAMERA, SITUATIONS
+from .situations import NEW_CAMERA, SITUATIONS, Known, Situation
 from .worlds import world_of
 
 # 0.1 mm and 0.1 mrad, as for a network that is read from a file.

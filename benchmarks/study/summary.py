@@ -1,11 +1,14 @@
 """What many sessions of one situation say together, and how a page shows it."""
 
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 
 import numpy as np
 from msgspec import Struct
 
-from .measure import Measure
+from benchmarks.machine import machine
+
+from .result import Outcome, Result, Verdict
 
 
 class Ratio(Struct, frozen=True):
@@ -34,14 +37,9 @@ def ratio_of(found: Iterable[float | None]) -> Ratio:
     return Ratio(value, error)
 
 
-def mean_of(measures: list[Measure], name: str) -> float:
-    """Of one of their numbers."""
-    return float(np.mean([getattr(measure, name) for measure in measures]))
-
-
-def count_of(measures: Iterable[Measure], *names: str) -> int:
-    """How many sessions have a camera in one of these lists."""
-    return sum(any(getattr(measure, name) for name in names) for measure in measures)
+def count_of(results: Iterable[Result], *verdicts: Verdict) -> int:
+    """How many sessions have a camera that is one of these."""
+    return sum(bool(result.those(*verdicts)) for result in results)
 
 
 def page_table(head: str, rows: Iterable[Sequence[str]]) -> list[str]:
@@ -53,3 +51,33 @@ def page_table(head: str, rows: Iterable[Sequence[str]]) -> list[str]:
 def bold_count(count: int) -> str:
     """Bold where there are any."""
     return f"**{count}**" if count else "0"
+
+
+def line_of(result: Result) -> str:
+    """One session in a line."""
+    located = sum(camera.is_located for camera in result.cameras)
+    said = [f"{located}/{len(result.cameras)} located, {result.seconds:.2f} s"]
+    for what, square in (("bound", result.efficiency), ("own", result.honesty)):
+        said += [f"error/{what} {np.sqrt(square):.3f}"] if square is not None else []
+    if result.distance is not None and result.distance_bound is not None:
+        expected = 100 * result.distance_bound
+        said.append(f"distance {100 * result.distance:.2f} of {expected:.2f} cm")
+    for camera in result.cameras:
+        if camera.verdict not in (Verdict.RIGHT, Verdict.UNKNOWN):
+            said.append(f"{camera.name} {camera.verdict}")
+        if camera.verdict is Verdict.WRONG and camera.error_m is not None:
+            said[-1] += f" by {100 * camera.error_m:.0f} cm ({camera.sigmas:.0f} sigmas)"
+        if camera.is_moved:
+            said.append(f"{camera.name} moved")
+    said += [f"{result.rejected} rejected"] if result.rejected else []
+    if result.outcome is not Outcome.DONE:
+        said.append(f"{result.outcome} {result.why}".rstrip())
+    return f"{result.session} {result.seed} {result.estimator}: {', '.join(said)}"
+
+
+def write_page(path: Path, parts: Iterable[str]) -> Path:
+    """Write a page, with the machine; return its path."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    lines = [*parts, f"Measured on {machine().summary}."]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path

@@ -1,6 +1,6 @@
 """Writes a simulated drive as a recorded session, by the contract."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
 from operator import itemgetter
 from pathlib import Path
@@ -23,7 +23,7 @@ _DETECTION_NS = to_ns(0.02)  # from exposure to the recorder
 _SERIAL_NS = to_ns(0.002)  # from encoder reading to the recorder
 
 
-_Item = tuple[int, Topic, str, Message]
+Item = tuple[int, Topic, str, Message]
 """When the recorder gets it, ns, its topic, and whose message it is."""
 
 
@@ -32,21 +32,35 @@ def write_session(world: World, directory: Path) -> dict[str, int]:
 
     Raises OperationError where there is a session already, or the disk does not take it.
     """
+
+    def write_files() -> list[Path]:
+        site = write_site(world, directory)
+        write_truth(world, directory, epoch_ns=EPOCH_NS)
+        return [site, *sorted(directory.glob("*target.toml"))]
+
+    items = sorted(_told(world), key=itemgetter(0))
+    return write_recording(directory, world.site_name, write_files, items)
+
+
+def write_recording(
+    directory: Path, site: str, write_files: Callable[[], Iterable[Path]], items: Iterable[Item]
+) -> dict[str, int]:
+    """Write the messages of a site, with the files that `write_files` writes beside them and that
+    are attached; as `write_session`."""
     with writing(directory):
         directory.mkdir(parents=True, exist_ok=True)
     with McapWriter(directory / "session.mcap") as writer:
         with writing(directory):
-            site = write_site(world, directory)
-            write_truth(world, directory, epoch_ns=EPOCH_NS)
-        for path in [site, *sorted(directory.glob("*target.toml"))]:
+            files = write_files()
+        for path in files:
             writer.attach(path.name, path.read_bytes(), "application/toml", time_ns=EPOCH_NS)
-        for received_ns, topic, node, message in sorted(_told(world), key=itemgetter(0)):
-            key, payload = topic.key(world.site_name, node), cdr.encode(message)
+        for received_ns, topic, node, message in items:
+            key, payload = topic.key(site, node), cdr.encode(message)
             writer.add(topic, key, payload, log_ns=received_ns, published_ns=received_ns)
     return writer.counts
 
 
-def _told(world: World) -> Iterator[_Item]:
+def _told(world: World) -> Iterator[Item]:
     """The items, with a word on how far their drawing is: sightings take nearly all of it."""
     pictures = sum(len(eye.picture_times(world.duration_s)) for eye in world.cameras.values())
     with closing(Progress("simulate", pictures)) as progress:
@@ -55,7 +69,7 @@ def _told(world: World) -> Iterator[_Item]:
             yield item
 
 
-def _items(world: World) -> Iterator[_Item]:
+def _items(world: World) -> Iterator[Item]:
     for name, eye in world.cameras.items():
         frame, size = f"{name}/optical", (eye.model.width, eye.model.height)
         yield EPOCH_NS, topics.CAMERA_INFO, name, CameraInfo(EPOCH_NS, frame, eye.model)

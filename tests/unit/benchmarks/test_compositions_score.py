@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from benchmarks.compositions.recipe import Recipe
-from benchmarks.compositions.report import line_of_score, summary_lines, write_report
-from benchmarks.compositions.score import Outcome, Score, score_of, scored
 from benchmarks.compositions.session import Composition, session_of
+from benchmarks.study.report_compositions import summary_lines, write_report
+from benchmarks.study.result import Outcome, Result, Verdict
+from benchmarks.study.score import score_of, scored
 from benchmarks.study.store import Store
+from benchmarks.study.summary import line_of
 from trigpoint.geometry import Pose
 from trigpoint.map.network import (
     AlternativeRecord,
@@ -49,7 +51,7 @@ def _network(
     save_network(folder, network, covariance=joint, trajectories={})
 
 
-def _judged(folder: Path, session: Composition, errors: dict[str, np.ndarray]) -> Score:
+def _judged(folder: Path, session: Composition, errors: dict[str, np.ndarray]) -> Result:
     _network(folder, session, errors)
     return score_of(session, folder, 0, 1.0, "")
 
@@ -64,9 +66,9 @@ def test_errors_of_a_sigma_are_honest_and_right(tmp_path: Path, session: Composi
 def test_a_camera_many_of_its_sigmas_off_is_wrong(tmp_path: Path, session: Composition) -> None:
     off = np.array([9 * _SIGMA, 0, 0, 0, 0, 0])
     score = _judged(tmp_path, session, {"c1": np.zeros(6), "c2": off})
-    assert [camera.name for camera in score.wrong] == ["c2"]
+    assert [camera.name for camera in score.those(Verdict.WRONG)] == ["c2"]
     assert score.honesty is None
-    assert "c2 wrong by 9 cm (9 sigmas)" in line_of_score(score)
+    assert "c2 wrong by 9 cm (9 sigmas)" in line_of(score)
 
 
 def test_a_camera_without_a_pose_that_names_the_true_place_has_it_among_its_alternatives(
@@ -105,13 +107,13 @@ def test_scores_are_kept_and_a_torn_line_is_passed_over(
     store.add(score)
     with (tmp_path / "scores" / "loop-alike.jsonl").open("ab") as file:
         file.write(b'{"sources": "x", "sc')
-    assert store.kept("loop-alike", Score) == [score]
+    assert store.kept("loop-alike") == [score]
 
 
 def test_the_page_counts_and_names_what_is_wrong(tmp_path: Path, session: Composition) -> None:
     off = np.array([0.5, 0, 0, 0, 0, 0])
     scores = [_judged(tmp_path, session, {"c1": np.zeros(6), "c2": off})]
     text = write_report({"loop-alike": scores}, tmp_path).read_text()
-    assert "- loop-alike 2: 2/3 located" in text
+    assert "- loop-alike 2 smoother: 2/3 located" in text
     [row] = [line for line in summary_lines({"loop-alike": scores}) if "known faces" in line]
     assert "**1**" in row

@@ -45,7 +45,7 @@ def test_motion_scatters_about_the_report_by_the_contracts_variances() -> None:
 
 
 def test_a_good_corner_lies_where_the_truth_has_it(plain: Simulated) -> None:
-    truth, errors = plain.truth, []
+    truth, errors = plain, list[np.ndarray]()
     for (camera, stamp_ns), faces in truth.sighted.items():
         eye = truth.world.cameras[camera]
         base = truth.map_from_base("r1", np.array([stamp_ns]))[0]
@@ -63,7 +63,7 @@ def test_time_offsets_are_in_the_stamps_and_not_in_the_pictures(
     world: World, plain: Simulated
 ) -> None:
     late = simulated(world, Disturbance(time_offset_s=0.05))
-    for name, camera in late.truth.world.cameras.items():
+    for name, camera in late.world.cameras.items():
         mine = [m for node, m in sightings(late) if node == name]
         others = [m for node, m in sightings(plain) if node == name]
         apart = {(a.stamp_ns - b.stamp_ns) / 1e9 for a, b in zip(mine, others, strict=True)}
@@ -91,7 +91,7 @@ def test_lenses_and_faces_are_drawn_about_what_is_told(world: World) -> None:
 def test_wrong_sightings_are_as_many_as_asked_and_not_good(world: World) -> None:
     wrong = Disturbance(displaced_share=0.2, wild_share=0.1, misnamed_share=0.3)
     session = simulated(world, wrong)
-    faces = [face for seen in session.truth.sighted.values() for face in seen]
+    faces = [face for seen in session.sighted.values() for face in seen]
     displaced = np.mean([not face.is_good.any() for face in faces])
     misnamed = np.mean([face.sighting.face != face.face for face in faces])
     wild = np.mean(np.concatenate([~f.is_good for f in faces if f.is_good.any()]))

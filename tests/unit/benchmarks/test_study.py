@@ -4,12 +4,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from typer.testing import CliRunner
 
 from benchmarks.study.command import app
-from benchmarks.study.measure import Measure, measure_of
+from benchmarks.study.measure import measure_of
 from benchmarks.study.oracle import known_to_oracle
-from benchmarks.study.report import write_report
+from benchmarks.study.report_situations import write_report
+from benchmarks.study.result import Camera, Result, Verdict
 from benchmarks.study.session import StudySession, simulated_session, worked_out
 from benchmarks.study.situations import SITUATIONS
 from benchmarks.study.store import Job, Store, jobs_of, open_jobs
@@ -17,22 +19,15 @@ from benchmarks.study.summary import count_of, ratio_of
 from trigpoint.fusion.solver.levenberg_marquardt import linearise, solve
 from trigpoint.tools.networks.cramer_rao import oracle_problem
 
-MEASURE = Measure(
-    situation="drive",
+RESULT = Result(
+    session="drive",
     seed=3,
-    estimator="smoother",
-    efficiency=1.21,
+    seconds=2.0,
+    cameras=[Camera("c1", Verdict.RIGHT)],
     honesty=1.0,
+    efficiency=1.21,
     distance=0.01,
     distance_bound=0.01,
-    seconds=2.0,
-    located=["c1"],
-    wrong=[],
-    undetermined=[],
-    made_up=[],
-    earlier=[],
-    rejected=0,
-    chi2_per_dof=1.0,
 )
 
 
@@ -61,18 +56,18 @@ def test_the_truth_costs_what_the_noise_is_worth(session: StudySession) -> None:
 
 def test_the_smoothers_errors_are_of_the_bounds_size(session: StudySession) -> None:
     measure = measure_of(session, worked_out(session).results(), 0.0)
-    assert measure.located == sorted(session.simulated.truth.cameras)
+    assert [c.name for c in measure.cameras] == sorted(session.simulated.cameras)
+    assert all(camera.verdict is Verdict.RIGHT for camera in measure.cameras)
     assert measure.efficiency is not None
     assert 0.5 < measure.efficiency < 2.0  # 36 degrees of freedom: six sigmas
-    assert not measure.wrong
 
 
 def test_a_session_is_the_same_for_the_same_seed_and_differs_for_another() -> None:
     first, again, other = (simulated_session("one_picture", seed) for seed in (1, 1, 2))
     assert [repr(m) for m in first.messages[-50:]] == [repr(m) for m in again.messages[-50:]]
-    last = max(stamp_ns for _, stamp_ns in first.simulated.truth.sighted)
+    last = max(stamp_ns for _, stamp_ns in first.simulated.sighted)
     end_ns = np.array([last])
-    truths = [s.simulated.truth.map_from_base("r1", end_ns) for s in (first, other)]
+    truths = [s.simulated.map_from_base("r1", end_ns) for s in (first, other)]
     assert np.linalg.norm(truths[0].difference(truths[1])) > 1e-6
 
 
@@ -86,7 +81,7 @@ def test_every_situation_has_a_world(name: str) -> None:
 
 def test_only_sessions_that_are_not_kept_yet_are_open(tmp_path: Path) -> None:
     store = Store(tmp_path)
-    store.add(MEASURE)
+    store.add(RESULT)
     jobs = jobs_of(["drive"], range(5), ("smoother", "ekf"))
     assert len(jobs) == 10
     assert set(jobs) - set(open_jobs(store, jobs)) == {Job("drive", 3)}
@@ -94,30 +89,31 @@ def test_only_sessions_that_are_not_kept_yet_are_open(tmp_path: Path) -> None:
 
 def test_a_torn_line_and_lines_of_other_sources_do_not_count(tmp_path: Path) -> None:
     store = Store(tmp_path)
-    store.add(MEASURE)
+    store.add(RESULT)
     path = tmp_path / "drive.jsonl"
     line = path.read_bytes()
     path.write_bytes(line + line[:40])
-    assert store.kept("drive", Measure) == [MEASURE]
+    assert store.kept("drive") == [RESULT]
     path.write_bytes(line.replace(b'"sources":"', b'"sources":"x'))
-    assert store.kept("drive", Measure) == []
-    assert store.kept("drive", Measure, of_any_sources=True) == [MEASURE]
+    assert store.kept("drive") == []
+    assert store.kept("drive", of_any_sources=True) == [RESULT]
 
 
 def test_a_summary_is_the_root_of_the_mean_square() -> None:
     measures = [
-        _with(MEASURE, efficiency=1.0, wrong=["c1"]),
-        _with(MEASURE, efficiency=1.42),
-        _with(MEASURE, efficiency=None, undetermined=["c1"], left_open=["c2"]),
+        replace(RESULT, efficiency=1.0, cameras=_cameras(Verdict.WRONG)),
+        replace(RESULT, efficiency=1.42),
+        replace(RESULT, efficiency=None, cameras=_cameras(Verdict.MISSED, Verdict.LEFT_OPEN)),
     ]
     assert ratio_of(measure.efficiency for measure in measures).value == pytest.approx(1.1)
-    assert [count_of(measures, name) for name in ("wrong", "undetermined", "left_open")] == [1] * 3
-    assert count_of(measures, "wrong", "undetermined") == 2
+    verdicts = (Verdict.WRONG, Verdict.MISSED, Verdict.LEFT_OPEN)
+    assert [count_of(measures, verdict) for verdict in verdicts] == [1] * 3
+    assert count_of(measures, *verdicts) == 2
 
 
 def test_the_report_shows_what_misses_its_goal(tmp_path: Path) -> None:
-    good = [_with(MEASURE, seed=s, efficiency=1.0 + 0.01 * s) for s in range(3)]
-    bad = [_with(MEASURE, seed=s, situation="wild", efficiency=4.0 + 0.01 * s) for s in range(3)]
+    good = [replace(RESULT, seed=s, efficiency=1.0 + 0.01 * s) for s in range(3)]
+    bad = [replace(RESULT, seed=s, session="wild", efficiency=4.0 + 0.01 * s) for s in range(3)]
     path = write_report({"drive": good, "wild": bad}, tmp_path)
     text = path.read_text(encoding="utf-8")
     lines = {line.split(" | ")[0]: line for line in text.splitlines() if line.startswith("| ")}
@@ -125,14 +121,12 @@ def test_the_report_shows_what_misses_its_goal(tmp_path: Path) -> None:
     assert "**2.0" in lines["| " + SITUATIONS["wild"].title]
 
 
-def _with(measure: Measure, **changes: object) -> Measure:
-    from msgspec import structs
-
-    return structs.replace(measure, **changes)
+def _cameras(*verdicts: Verdict) -> list[Camera]:
+    return [Camera(f"c{number}", verdict) for number, verdict in enumerate(verdicts)]
 
 
 def test_a_report_without_the_smoother_writes_nothing(tmp_path: Path) -> None:
-    Store(tmp_path).add(_with(MEASURE, estimator="ekf"))
+    Store(tmp_path).add(replace(RESULT, estimator="ekf"))
     docs = tmp_path / "docs"
     result = CliRunner().invoke(app, ["report", "--folder", str(tmp_path), "--docs", str(docs)])
     assert result.exit_code == 2

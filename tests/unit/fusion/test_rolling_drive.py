@@ -67,19 +67,19 @@ waypoints = [[6.0, 6.0], [6.0, 6.1]]
 
 def site_of(drive: Simulated, estimator: str, line_delay_s: float) -> Site:
     lines = ['site = "hall"', 'target = "target.toml"']
-    for name in drive.truth.world.cameras:
+    for name in drive.world.cameras:
         lines += [f"[cameras.{name}]", f'source = "sim://{name}"', f"line_delay = {line_delay_s}"]
         lines += ["time_offset_sigma = 0.02"] if estimator != "particle" else []
-    for name in drive.truth.world.robots:
+    for name in drive.world.robots:
         lines += [f"[robots.{name}]", 'port = "loop://"']
     lines += ["[fusion]", f'estimator = "{estimator}"']
     return parse_site("\n".join(lines), directory=Path())
 
 
 def worked_out(drive: Simulated, site: Site, *, is_live: bool) -> Pipeline:
-    world = drive.truth.world
+    world = drive.world
     targets = {name: world.target(name) for name in world.robots}
-    inputs = Inputs(site, targets, dict(drive.truth.lenses))
+    inputs = Inputs(site, targets, dict(drive.lenses))
     pipeline = Pipeline(inputs, is_live=is_live)
     for node, message in drive.messages:
         pipeline.push(node, message)

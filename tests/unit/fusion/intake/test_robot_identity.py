@@ -38,7 +38,7 @@ def test_robots_that_drove_alike_are_told_apart_by_what_others_saw_of_them(
 
 def test_no_sighting_is_taken_for_another_robots(session: StudySession, pipeline: Pipeline) -> None:
     results = pipeline.results()
-    truth = session.simulated.truth.cameras
+    truth = session.simulated.cameras
     for index, name in enumerate(results.network.located):
         record = results.network.cameras[name].map_from_camera
         assert record is not None

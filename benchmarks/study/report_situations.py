@@ -1,16 +1,15 @@
-"""Writes docs/background/accuracy.md from the measures."""
+"""Writes docs/background/accuracy.md from the results."""
 
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.machine import machine
-
-from .measure import DECIDED_M, GROSS, Measure
+from .measure import DECIDED_M, GROSS
+from .result import Result, Verdict
 from .situations import SITUATIONS
 from .store import ESTIMATORS
-from .summary import Ratio, bold_count, count_of, mean_of, page_table, ratio_of
+from .summary import Ratio, bold_count, count_of, page_table, ratio_of, write_page
 
 _HEAD = """# Accuracy
 
@@ -49,53 +48,51 @@ A number in bold misses its goal (1.03 and 0.95 to 1.05 where faces and lenses a
 and 0.9 to 1.1) by more than two standard errors.
 """
 
+_COLUMNS = (
+    "sessions | error / bound | error / own | distance, bound (cm) | wrong | undetermined "
+    "| time (s)"
+)
 
-def write_report(measures: Mapping[str, list[Measure]], docs: Path) -> Path:
+
+def write_report(results: Mapping[str, list[Result]], docs: Path) -> Path:
     """Write the page; return its path."""
-    docs.mkdir(parents=True, exist_ok=True)
     of_smoother = {
         name: those
-        for name, found in measures.items()
-        if (those := [measure for measure in found if measure.estimator == "smoother"])
+        for name, found in results.items()
+        if (those := [result for result in found if result.estimator == "smoother"])
     }
     most = max(map(len, of_smoother.values()))
     head = _HEAD.format(seeds=most, gross=GROSS, decided=100 * DECIDED_M)
     parts = [head, *_situations(of_smoother)]
     if "drive" in of_smoother:
         parts += [_distances(of_smoother["drive"])]
-    parts += [*_estimators(measures), f"Measured on {machine().summary}.\n"]
-    path = docs / "accuracy.md"
-    path.write_text("\n".join(parts), encoding="utf-8")
-    return path
+    return write_page(docs / "accuracy.md", [*parts, *_estimators(results)])
 
 
-def _situations(measures: Mapping[str, list[Measure]]) -> list[str]:
-    rows = []
-    for name, found in measures.items():
-        goal, left_open = SITUATIONS[name].goal, count_of(found, "left_open")
-        distance, bound = 100 * mean_of(found, "distance"), 100 * mean_of(found, "distance_bound")
-        cells = [
-            SITUATIONS[name].title,
-            str(len(found)),
-            _ratio(ratio_of(m.efficiency for m in found), 0.0, goal.efficiency),
-            _ratio(ratio_of(m.honesty for m in found), *goal.honesty),
-            f"{distance:.2f}, {bound:.2f}",
-            bold_count(count_of(found, "wrong", "made_up")),
-            bold_count(count_of(found, "undetermined"))
-            + (f", {left_open} rightly" if left_open else ""),
-            f"{mean_of(found, 'seconds'):.2f}",
-        ]
-        rows.append(cells)
-    head = (
-        "situation | sessions | error / bound | error / own | distance, bound (cm) | wrong "
-        "| undetermined | time (s)"
-    )
-    every = [measure for found in measures.values() for measure in found]
+def _situations(results: Mapping[str, list[Result]]) -> list[str]:
+    rows = [[SITUATIONS[name].title, *_cells(name, found)] for name, found in results.items()]
+    every = [result for found in results.values() for result in found]
     words = (
-        f"Of {len(every)} sessions {count_of(every, 'wrong', 'made_up')} have a wrong camera, "
-        f"{count_of(every, 'undetermined')} one that is undetermined though the data decide."
+        f"Of {len(every)} sessions {count_of(every, Verdict.WRONG, Verdict.MADE_UP)} have a wrong "
+        f"camera, {count_of(every, Verdict.MISSED)} one that is undetermined though the data "
+        "decide."
     )
-    return [*page_table(head, rows), "", words, ""]
+    return [*page_table(f"situation | {_COLUMNS}", rows), "", words, ""]
+
+
+def _cells(name: str, found: list[Result]) -> list[str]:
+    """What some sessions of a situation come to, by `_COLUMNS`."""
+    goal, left_open = SITUATIONS[name].goal, count_of(found, Verdict.LEFT_OPEN)
+    missed = bold_count(count_of(found, Verdict.MISSED))
+    return [
+        str(len(found)),
+        _ratio(ratio_of(one.efficiency for one in found), 0.0, goal.efficiency),
+        _ratio(ratio_of(one.honesty for one in found), *goal.honesty),
+        "{:.2f}, {:.2f}".format(*_distances_cm(found)),
+        bold_count(count_of(found, Verdict.WRONG, Verdict.MADE_UP)),
+        missed + (f", {left_open} rightly" if left_open else ""),
+        f"{np.mean([one.seconds for one in found]):.2f}",
+    ]
 
 
 def _ratio(ratio: Ratio, low: float, high: float) -> str:
@@ -105,57 +102,32 @@ def _ratio(ratio: Ratio, low: float, high: float) -> str:
     return text if is_met else f"**{text}**"
 
 
-def _distances(found: list[Measure]) -> str:
-    distance, bound = mean_of(found, "distance"), mean_of(found, "distance_bound")
+def _distances_cm(found: list[Result]) -> tuple[float, float]:
+    """The mean error of distances, and what the bound expects."""
+    errors = [(one.distance or 0.0, one.distance_bound or 0.0) for one in found]
+    error, bound = 100 * np.mean(errors, axis=0)
+    return float(error), float(bound)
+
+
+def _distances(found: list[Result]) -> str:
+    distance, bound = _distances_cm(found)
     return (
         f"## Distances\n\nIn the demo's lab the distances between cameras are off by "
-        f"{100 * distance:.2f} cm in the mean; the bound expects {100 * bound:.2f} "
+        f"{distance:.2f} cm in the mean; the bound expects {bound:.2f} "
         f"cm, which is a ratio of {distance / bound:.3f}. The paper reached 2.11 cm.\n"
     )
 
 
-def _estimators(measures: Mapping[str, list[Measure]]) -> list[str]:
+def _estimators(results: Mapping[str, list[Result]]) -> list[str]:
     """One table of all estimators over the sessions that all of them worked out."""
     rows = []
-    for name, found in measures.items():
-        by = {e: {m.seed: m for m in found if m.estimator == e} for e in ESTIMATORS}
+    for name, found in results.items():
+        by = {e: {one.seed: one for one in found if one.estimator == e} for e in ESTIMATORS}
         present = [e for e in ESTIMATORS if by[e]]
         seeds = sorted(set.intersection(*(set(by[e]) for e in present))) if present else []
         for estimator in present if len(present) > 1 and seeds else []:
             shared = [by[estimator][seed] for seed in seeds]
-            cells = [
-                SITUATIONS[name].title,
-                estimator,
-                str(len(shared)),
-                ratio_of(m.efficiency for m in shared).told(3),
-                ratio_of(m.honesty for m in shared).told(3),
-                f"{100 * mean_of(shared, 'distance'):.2f}",
-                str(count_of(shared, "wrong")),
-                str(count_of(shared, "undetermined")),
-                f"{mean_of(shared, 'seconds'):.2f}",
-            ]
-            rows.append(cells)
-    head = (
-        "situation | estimator | sessions | error / bound | error / own | distance (cm) | wrong "
-        "| undetermined | time (s)"
-    )
+            rows.append([SITUATIONS[name].title, estimator, *_cells(name, shared)])
+    head = f"situation | estimator | {_COLUMNS}"
     lines = ["## Estimators\n", "On the same sessions:\n", *page_table(head, rows), ""]
     return lines if rows else []
-
-
-def line_of(m: Measure) -> str:
-    """One session in a line."""
-    notes = {
-        "wrong": m.wrong,
-        "undetermined": m.undetermined,
-        "rightly undetermined": m.left_open,
-        "made up": m.made_up,
-        "moved": m.earlier,
-    }
-    ratios = [f"{np.sqrt(s):.3f}" if s is not None else "–" for s in (m.efficiency, m.honesty)]
-    said = [f"{what} {','.join(names)}" for what, names in notes.items() if names]
-    return (
-        f"{m.situation} {m.seed} {m.estimator}: error/bound {ratios[0]}, error/own {ratios[1]}, "
-        f"distance {100 * m.distance:.2f} of {100 * m.distance_bound:.2f} cm, {m.seconds:.2f} s, "
-        f"{'; '.join([*said, f'{m.rejected} rejected'])}"
-    )

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.machine import machine
-from benchmarks.study.summary import bold_count, page_table, ratio_of
+from benchmarks.compositions.recipe import KINDS
 
-from .recipe import KINDS
-from .score import GOAL_S, GOAL_SHARE, WRONG_M, WRONG_M_SIGMAS, WRONG_SIGMAS, Outcome, Score
+from .result import Outcome, Result, Verdict
+from .score import GOAL_S, GOAL_SHARE, WRONG_M, WRONG_M_SIGMAS, WRONG_SIGMAS
+from .summary import bold_count, count_of, line_of, page_table, ratio_of, write_page
 
 _HEAD = """# Compositions
 
@@ -36,9 +36,8 @@ nothing with fusion; `calibrate` works out each from its files, as a user would.
 """
 
 
-def write_report(scores: Mapping[str, list[Score]], docs: Path) -> Path:
+def write_report(scores: Mapping[str, list[Result]], docs: Path) -> Path:
     """Write the page; return its path."""
-    docs.mkdir(parents=True, exist_ok=True)
     head = _HEAD.format(
         sigmas=WRONG_SIGMAS,
         far=100 * WRONG_M,
@@ -47,18 +46,16 @@ def write_report(scores: Mapping[str, list[Score]], docs: Path) -> Path:
         share=GOAL_SHARE,
     )
     found = {kind: of_kind for kind, of_kind in scores.items() if of_kind}
-    parts = [head, *summary_lines(found), "", *_bad(found), "", f"Measured on {machine().summary}."]
-    path = docs / "compositions.md"
-    path.write_text("\n".join(parts) + "\n", encoding="utf-8")
-    return path
+    parts = [head, *summary_lines(found), "", *_bad(found), ""]
+    return write_page(docs / "compositions.md", parts)
 
 
-def summary_lines(scores: Mapping[str, list[Score]]) -> list[str]:
+def summary_lines(scores: Mapping[str, list[Result]]) -> list[str]:
     """Two tables: of sessions, and of cameras by category."""
     return [*_of_sessions(scores), "", *_of_cameras(scores)]
 
 
-def _of_sessions(scores: Mapping[str, list[Score]]) -> list[str]:
+def _of_sessions(scores: Mapping[str, list[Result]]) -> list[str]:
     head = "sessions | number | wrong | late | failed | slow | honesty | median, longest (s)"
     everything = [score for of_kind in scores.values() for score in of_kind]
     rows = {KINDS[kind].title: of_kind for kind, of_kind in scores.items()}
@@ -68,13 +65,13 @@ def _of_sessions(scores: Mapping[str, list[Score]]) -> list[str]:
     return page_table(head, cells)
 
 
-def _session_cells(scores: list[Score]) -> list[str]:
+def _session_cells(scores: list[Result]) -> list[str]:
     seconds = [score.seconds for score in scores]
     counts = [
-        sum(bool(score.wrong) for score in scores),
+        count_of(scores, Verdict.WRONG),
         sum(score.outcome is Outcome.LATE for score in scores),
         sum(score.outcome is Outcome.FAILED for score in scores),
-        sum(score.is_over_time for score in scores),
+        sum(one.seconds > GOAL_S + GOAL_SHARE * one.lasts_s for one in scores),
     ]
     return [
         str(len(scores)),
@@ -84,7 +81,7 @@ def _session_cells(scores: list[Score]) -> list[str]:
     ]
 
 
-_CATEGORIES: dict[str, Callable[[Score], bool]] = {
+_CATEGORIES: dict[str, Callable[[Result], bool]] = {
     "known faces": lambda score: not score.is_alike and not score.lifts,
     "known faces, a lift": lambda score: not score.is_alike and bool(score.lifts),
     "equal faces": lambda score: score.is_alike and not score.lifts,
@@ -92,7 +89,7 @@ _CATEGORIES: dict[str, Callable[[Score], bool]] = {
 }
 
 
-def _of_cameras(scores: Mapping[str, list[Score]]) -> list[str]:
+def _of_cameras(scores: Mapping[str, list[Result]]) -> list[str]:
     """Located of all, and how many of these are wrong, by category."""
     head = (
         "located cameras | two pictures or more | one picture | wrong "
@@ -106,14 +103,14 @@ def _of_cameras(scores: Mapping[str, list[Score]]) -> list[str]:
                 continue
             often = [camera for camera in cameras if camera.pictures >= 2]
             once = [camera for camera in cameras if camera.pictures < 2]
-            wrong = sum(camera.is_wrong for camera in cameras)
+            wrong = sum(camera.verdict is Verdict.WRONG for camera in cameras)
             unconfirmed = [c for c in cameras if c.is_located and not c.is_confirmed]
             cells = [
                 f"{kind}: {category}",
                 f"{sum(c.is_located for c in often)} of {len(often)}",
                 f"{sum(c.is_located for c in once)} of {len(once)}",
                 bold_count(wrong),
-                f"{len(unconfirmed)}, {sum(c.is_wrong for c in unconfirmed)}",
+                f"{len(unconfirmed)}, {sum(c.verdict is Verdict.WRONG for c in unconfirmed)}",
                 _missed([c.among for c in cameras if c.among is not None]),
             ]
             rows.append(cells)
@@ -124,24 +121,7 @@ def _missed(among: list[bool]) -> str:
     return f"{sum(not found for found in among)} of {len(among)}" if among else "–"
 
 
-def _bad(scores: Mapping[str, list[Score]]) -> list[str]:
+def _bad(scores: Mapping[str, list[Result]]) -> list[str]:
     """Each session that is wrong, late or failed."""
     bad = [score for of_kind in scores.values() for score in of_kind if score.is_bad]
-    return (
-        ["Sessions to look at:\n", *(f"- {line_of_score(score)}" for score in bad)] if bad else []
-    )
-
-
-def line_of_score(score: Score) -> str:
-    """One session in a line."""
-    located = sum(camera.is_located for camera in score.cameras)
-    honesty = f"{np.sqrt(score.honesty):.2f}" if score.honesty is not None else "–"
-    line = f"{score.situation} {score.seed}: {located}/{len(score.cameras)} located, "
-    line += f"{score.seconds:.1f} s, honesty {honesty}"
-    for camera in score.wrong:
-        assert camera.error_m is not None
-        line += f", {camera.name} wrong by {100 * camera.error_m:.0f} cm"
-        line += f" ({camera.sigmas:.0f} sigmas)"
-    if score.outcome is not Outcome.DONE:
-        line += f", {score.outcome} {score.why}".rstrip()
-    return line
+    return ["Sessions to look at:\n", *(f"- {line_of(score)}" for score in bad)] if bad else []

@@ -2,24 +2,22 @@
 
 import os
 import resource
-import signal
 import subprocess
 import sys
 import tempfile
-import threading
-from enum import StrEnum
+from functools import partial
 from pathlib import Path
 
-import msgspec
 import numpy as np
 
+from benchmarks.compositions.files import write_composition
+from benchmarks.compositions.session import Composition, composed_session
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.map.network import CameraRecord, Network, load_covariance, load_network
 from trigpoint.tools.networks.truth import joint_error
 
-from .files import write_composition
-from .session import Composition, composed_session
+from .result import Camera, Outcome, Result, Verdict
 
 # A located camera is wrong where its position is further off than so many of its own sigmas; or
 # than so many metres and a smaller number of sigmas.
@@ -30,73 +28,7 @@ GOAL_S, GOAL_SHARE = 10.0, 0.1  # of processor time: so much, and a share of the
 _PATIENCE = 8.0
 
 
-class Outcome(StrEnum):
-    """What came of a session."""
-
-    DONE = "done"
-    LATE = "late"
-    FAILED = "failed"
-
-
-class CameraScore(msgspec.Struct, frozen=True):
-    """One camera. `status`: as in network.json, "" where there is none; `pictures`: with a good
-    sighting of where it hung at last; `is_confirmed`: not resting on one sighting alone; `error_m`,
-    `sigmas`: of its position where it is located; `among`: whether the true place is among the
-    alternatives where such are named."""
-
-    name: str
-    status: str
-    pictures: int
-    is_confirmed: bool = True
-    error_m: float | None = None
-    sigmas: float | None = None
-    among: bool | None = None
-
-    @property
-    def is_located(self) -> bool:
-        return self.status == "located"
-
-    @property
-    def is_wrong(self) -> bool:
-        """Whether it is located elsewhere than where it says."""
-        if self.error_m is None or self.sigmas is None:
-            return False
-        is_far = self.error_m > WRONG_M and self.sigmas > WRONG_M_SIGMAS
-        return self.sigmas > WRONG_SIGMAS or is_far
-
-
-class Score(msgspec.Struct, frozen=True, tag=True):
-    """One session. `honesty`: eᵀP⁻¹e/6n over the located cameras, None where none is or one is
-    wrong; `seconds`: processor time; `lasts_s`: the session's length; `lifts`: of robots;
-    `why`: it failed."""
-
-    situation: str
-    seed: int
-    is_alike: bool
-    is_mismatched: bool
-    lifts: int
-    outcome: Outcome
-    seconds: float
-    lasts_s: float
-    cameras: list[CameraScore] = msgspec.field(default_factory=list)
-    honesty: float | None = None
-    why: str = ""
-    estimator: str = "smoother"
-
-    @property
-    def wrong(self) -> list[CameraScore]:
-        return [camera for camera in self.cameras if camera.is_wrong]
-
-    @property
-    def is_over_time(self) -> bool:
-        return self.seconds > GOAL_S + GOAL_SHARE * self.lasts_s
-
-    @property
-    def is_bad(self) -> bool:
-        return bool(self.wrong) or self.outcome is not Outcome.DONE
-
-
-def scored(kind: str, seed: int, *, limit_s: float = 120.0) -> Score:
+def scored(kind: str, seed: int, *, limit_s: float = 120.0) -> Result:
     """Draw a session, let `calibrate` work it out within a limit of processor time, judge it."""
     session = composed_session(kind, seed)
     with tempfile.TemporaryDirectory() as folder:
@@ -106,7 +38,9 @@ def scored(kind: str, seed: int, *, limit_s: float = 120.0) -> Score:
         return score_of(session, out, code, seconds, said)
 
 
-def score_of(session: Composition, out: Path, code: int | None, seconds: float, said: str) -> Score:
+def score_of(
+    session: Composition, out: Path, code: int | None, seconds: float, said: str
+) -> Result:
     """The score of what `calibrate` left in `out`. `code`: its exit status, None where the time was
     over; `said`: its standard error."""
     recipe = session.recipe
@@ -123,20 +57,20 @@ def score_of(session: Composition, out: Path, code: int | None, seconds: float, 
         _camera(name, said_of.get(name), place, pictures[name]) for name, place in places.items()
     ]
     honesty = None
-    if network is not None and not any(camera.is_wrong for camera in cameras):
+    if network is not None and not any(camera.verdict is Verdict.WRONG for camera in cameras):
         honesty = _honesty(out, network, places)
-    return Score(
-        situation=recipe.kind,
+    return Result(
+        session=recipe.kind,
         seed=recipe.seed,
+        seconds=seconds,
+        cameras=cameras,
+        honesty=honesty,
+        outcome=outcome,
+        why=why,
         is_alike=recipe.is_alike,
         is_mismatched=recipe.is_mismatched,
         lifts=recipe.lifts,
-        outcome=outcome,
-        seconds=seconds,
         lasts_s=session.lasts_s,
-        cameras=cameras,
-        honesty=honesty,
-        why=why,
     )
 
 
@@ -146,38 +80,47 @@ def _calibrated(directory: Path, out: Path, limit_s: float) -> tuple[int | None,
     command += ["--site", str(directory / "site.toml"), "--out", str(out)]
     # Sessions are worked out side by side, and leave nothing for the linear algebra's threads.
     one_thread = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-    with tempfile.TemporaryFile("w+") as said:
-        process = subprocess.Popen(
-            command, stdout=subprocess.DEVNULL, stderr=said, env=os.environ | one_thread
+    limits = (int(np.ceil(limit_s)), int(np.ceil(limit_s)) + 1)
+    before_s = _children_s()
+    try:
+        ran = subprocess.run(
+            command,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=os.environ | one_thread,
+            preexec_fn=partial(resource.setrlimit, resource.RLIMIT_CPU, limits),
+            timeout=_PATIENCE * limit_s,
+            check=False,
         )
-        limits = (int(np.ceil(limit_s)), int(np.ceil(limit_s)) + 1)
-        resource.prlimit(process.pid, resource.RLIMIT_CPU, limits)
-        waited_out = threading.Event()
-
-        def give_up() -> None:
-            waited_out.set()
-            process.kill()
-
-        end = threading.Timer(_PATIENCE * limit_s, give_up)
-        end.start()
-        try:
-            _, status, used = os.wait4(process.pid, 0)
-        finally:
-            end.cancel()
-        process.returncode = code = os.waitstatus_to_exitcode(status)
-        said.seek(0)
-        seconds = used.ru_utime + used.ru_stime
-        # The limit's signal ended it, or the kernel's harder one, or who waited.
-        by_limit = code == -signal.SIGXCPU or (code < 0 and seconds >= 0.9 * limit_s)
-        return (None if by_limit or waited_out.is_set() else code), seconds, said.read()
+    except subprocess.TimeoutExpired:
+        return None, _children_s() - before_s, ""
+    seconds = _children_s() - before_s
+    # The limit's signal ended it, or the kernel's harder one.
+    is_late = ran.returncode < 0 and seconds >= 0.9 * limit_s
+    return (None if is_late else ran.returncode), seconds, ran.stderr
 
 
-def _camera(name: str, said: CameraRecord | None, place: Pose, pictures: int) -> CameraScore:
+def _children_s() -> float:
+    """The processor's time of all processes that this one began and that have ended."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def _camera(name: str, said: CameraRecord | None, place: Pose, pictures: int) -> Camera:
     if said is None or said.map_from_camera is None:
-        return CameraScore(name, said.status if said else "", pictures, among=_among(said, place))
+        return Camera(name, Verdict.UNKNOWN, pictures=pictures, among=_among(said, place))
     error = said.map_from_camera.pose.difference(place)[:3]
-    sigmas, length = _sigmas(error, said.covariance_matrix), float(np.linalg.norm(error))
-    return CameraScore(name, said.status, pictures, said.confirmed, length, sigmas)
+    sigmas, error_m = _sigmas(error, said.covariance_matrix), float(np.linalg.norm(error))
+    is_far = error_m > WRONG_M and sigmas > WRONG_M_SIGMAS
+    return Camera(
+        name,
+        Verdict.WRONG if is_far or sigmas > WRONG_SIGMAS else Verdict.RIGHT,
+        pictures=pictures,
+        is_confirmed=said.confirmed,
+        error_m=error_m,
+        sigmas=sigmas,
+    )
 
 
 def _among(said: CameraRecord | None, place: Pose) -> bool | None:
