@@ -24,8 +24,8 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from msgspec import Struct, field
-from msgspec.structs import asdict, replace
+from msgspec import Struct, field, to_builtins
+from msgspec.structs import replace
 
 from benchmarks.network.segments import PORT, Segments, certify
 from benchmarks.timing import family, resident_mb
@@ -263,5 +263,5 @@ def main(
 
 
 def _write(record: Record, out: Path) -> None:
-    (out / "soak.json").write_text(json.dumps(asdict(record)))
+    (out / "soak.json").write_text(json.dumps(to_builtins(record)))
     (out / "soak.md").write_text(report(record) + "\n", encoding="utf-8")

@@ -27,6 +27,8 @@ LEAST_VOTES = 6
 # How far a marker's middle may lie from where the others put it, of the marker's side; and what is
 # measured wrong of its size where corners are blurred.
 _NEAR, _MARKER_SHARE = 0.2, 0.1
+# On the board that is meant most markers agree: four of them are soon drawn that do.
+_MOST_TRIES = 100
 
 
 class OtherSize(Struct, frozen=True):
@@ -72,8 +74,10 @@ class OtherSize(Struct, frozen=True):
 
 def other_size(look: Appearance, read: Markers) -> OtherSize | None:
     """What most of the markers that were `read`, each once and by its id, agree on, the file's own
-    numbers before others; None where too few agree."""
+    numbers before others; None where too few agree, or as many on boards of
+    other widths."""
     best: tuple[int, OtherSize] | None = None
+    is_tied = False
     if len(read) < LEAST_VOTES:
         return None
     for face in _faces(look.face, read.numbers):
@@ -81,14 +85,19 @@ def other_size(look: Appearance, read: Markers) -> OtherSize | None:
             (read.numbers >= face.first_marker)
             & (read.numbers < face.first_marker + face.marker_count)
         )
-        if len(which) < max(LEAST_VOTES, best[0] + 1 if best else 0):
+        if len(which) < max(LEAST_VOTES, best[0] if best else 0):
             continue
         numbers = read.numbers[which] - face.first_marker
         fit, agree = _agreeing(layout_of(face)[numbers], read.corners[which])
-        if fit is not None and agree.sum() > (best[0] if best else LEAST_VOTES - 1):
+        votes = int(agree.sum())
+        if fit is not None and votes > (best[0] if best else LEAST_VOTES - 1):
             seen = _as_seen(face, numbers[agree], read.corners[which[agree]], fit)
-            best = int(agree.sum()), OtherSize(look, seen, numbers[agree], which[agree])
-    return best[1] if best else None
+            best, is_tied = (votes, OtherSize(look, seen, numbers[agree], which[agree])), False
+            if face is look.face and votes == len(read):
+                break
+        elif best and votes == best[0] and best[1].face.columns != look.face.columns:
+            is_tied |= face.columns != best[1].face.columns
+    return best[1] if best and not is_tied else None
 
 
 def layout_of(face: Face) -> Array:
@@ -135,10 +144,25 @@ def _agreeing(layout: Array, corners: Array) -> tuple[Array | None, np.ndarray]:
     which do, (n,)."""
     sides = np.linalg.norm(corners[:, 2] - corners[:, 0], axis=-1) / np.sqrt(2)
     near = _NEAR * float(np.median(sides))
-    fit, agree = cv2.findHomography(layout.mean(axis=1), corners.mean(axis=1), cv2.RANSAC, near)
+    fit, agree = cv2.findHomography(
+        layout.mean(axis=1), corners.mean(axis=1), cv2.RANSAC, near, maxIters=_MOST_TRIES
+    )
     if fit is None:
         return None, np.zeros(len(layout), bool)
-    return np.asarray(fit, float), agree.ravel().astype(bool)
+    fit = np.asarray(fit, float)
+    return fit, agree.ravel().astype(bool) & _are_shaped_so(layout, corners, fit)
+
+
+def _are_shaped_so(layout: Array, corners: Array, fit: Array) -> np.ndarray:
+    """Which markers (n, 4, 2) are shaped as a fit of their middles has them, (n,), whatever their
+    size, or on their heads: the middles of two rows alone fit many a sheared board."""
+    expected = cv2.perspectiveTransform(layout.reshape(1, -1, 2), fit).reshape(-1, 4, 2)
+    expected = expected - expected.mean(axis=1, keepdims=True)
+    seen = corners - corners.mean(axis=1, keepdims=True)
+    across = np.sum(expected * seen, axis=(1, 2))
+    scale = across / np.maximum(np.sum(expected**2, axis=(1, 2)), 1e-9)
+    off = np.linalg.norm(seen - scale[:, None, None] * expected, axis=-1).mean(axis=1)
+    return off < _NEAR * np.linalg.norm(seen, axis=-1).mean(axis=1)
 
 
 def _as_seen(face: Face, numbers: np.ndarray, corners: Array, fit: Array) -> Face:

@@ -43,6 +43,7 @@ def alternatives_of(places: Iterable[Place]) -> tuple[Alternative, ...]:
         leader = ordered[left[0]]
         apart = poses[left].difference(leader.map_from_camera)
         is_same = are_same_place(apart, leader.covariance)
+        is_same[0] = True  # of itself, whatever its numbers
         mine, apart = weights[left[is_same]], apart[is_same]
         mass, spread = float(mine.sum()), (mine * apart.T) @ apart
         found.append(Alternative(leader.map_from_camera, leader.covariance, mass, spread / mass))

@@ -9,7 +9,6 @@ from trigpoint.fusion.model.places import are_near
 from trigpoint.fusion.model.prediction import batch_jacobian
 from trigpoint.fusion.model.problem import (
     Batch,
-    CameraState,
     Chain,
     Layout,
     Priors,
@@ -54,10 +53,8 @@ def visits(
     Where there are too many, those that the first camera sees get half of the room.
     """
     counts = [face.corner_count for face in place.target.faces]
-    seen = {
-        name: _corners(world, place, chosen.map_from_base, name, world.state.cameras[name])
-        for name in cameras
-    }
+    faces = Faces(place.target, world.state.robots[place.robot].base_from_face)
+    seen = {name: _corners(world, faces, chosen.map_from_base, name) for name in cameras}
     whole = [(found.sum(axis=2) == counts).any(axis=1) for found in seen.values()]
     kept = _kept(np.stack(whole))
     chosen = chosen.where(kept)
@@ -94,16 +91,13 @@ def _kept(every: np.ndarray) -> np.ndarray:
     return np.sort(np.concatenate(parts))
 
 
-def _corners(
-    world: GuidanceWorld, place: RobotPlace, poses: Pose, camera: str, state: CameraState
-) -> np.ndarray:
-    """Which corners (n, f, c) of its faces a camera is expected to find at a robot's poses (n);
+def _corners(world: GuidanceWorld, faces: Faces, poses: Pose, camera: str) -> np.ndarray:
+    """Which corners (n, f, c) of a robot's faces a camera is expected to find at its poses (n);
     nothing far from where it saw before."""
-    views, target = world.views[camera], place.target
-    most = max(face.corner_count for face in target.faces)
-    found = np.zeros((len(poses), len(target.faces), most), dtype=bool)
+    views, state = world.views[camera], world.state.cameras[camera]
+    most = max(face.corner_count for face in faces.target.faces)
+    found = np.zeros((len(poses), len(faces.target.faces), most), dtype=bool)
     rows = np.flatnonzero(are_near(poses.translation, views.places, SEEN_M))
-    faces = Faces(target, world.state.robots[place.robot].base_from_face)
     eye = Eye(camera, state.map_from_camera, state.lens, views.sigma_px)
     found[rows] = corners_found(eye, faces, poses[rows], _WITH_ROOM)
     return found

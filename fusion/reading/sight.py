@@ -102,7 +102,8 @@ class Faces(Struct, frozen=True, eq=False, dict=True):
         outlines = np.stack([face.outline[:, :2] for face in faces])
         signs = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
         return (
-            *(np.ascontiguousarray(self.base_from_face.rotation), self.base_from_face.translation),
+            np.ascontiguousarray(self.base_from_face.rotation),
+            np.ascontiguousarray(self.base_from_face.translation),
             *(corners, counts, np.array(needed)),
             np.concatenate([outlines.min(axis=1), outlines.max(axis=1)], axis=1),
             *(sides, ends),
@@ -140,7 +141,8 @@ def _look(
     bounds = rules.least_cosine, rules.least_side_px, _widest_rad(eye.lens), _scale_px(eye.lens)
     _SIGHT(
         *(eye.lens.parameters, eye.lens.limits(rules.margin_px), np.array(bounds)),
-        *(np.ascontiguousarray(eye.map_from_camera.rotation), eye.map_from_camera.translation),
+        np.ascontiguousarray(eye.map_from_camera.rotation),
+        np.ascontiguousarray(eye.map_from_camera.translation),
         np.ascontiguousarray(map_from_base.rotation),
         np.ascontiguousarray(map_from_base.translation),
         *(*faces.tables, seen, information),

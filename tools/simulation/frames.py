@@ -49,8 +49,8 @@ class SimulatedFrames:
         return self._skipped
 
     def frames(self, stopping: threading.Event) -> Iterator[Frame]:
-        """Pictures until `stopping` is set; made on the taker's thread, each before it is due, so
-        that what drawing takes does not count as the camera's delay."""
+        """Pictures until `stopping` is set; made on the taker's thread, each before it is due where
+        the taker is in time, so that what drawing takes does not count as the camera's delay."""
         due = max(0, self._newest() + 1)
         picture = self._renderer.picture(due)
         while self._wait_for(due, stopping):

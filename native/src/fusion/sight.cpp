@@ -1,5 +1,7 @@
 // What a camera finds of a target at many poses of its robot, and the information in that.
+#include <algorithm>
 #include <cmath>
+#include <stdexcept>
 #include <vector>
 
 #include "border.hpp"
@@ -81,16 +83,17 @@ std::vector<Face> faces_of(const Argument* given) {
         const auto of = [&](const Argument& argument, Index count) {
             return moved(face.base_from_face, points_of(argument.array, f, count));
         };
-        const auto number = [&](int which, Index most) {
+        const auto number = [&](int which, Index most, Index least = 1) {
             const std::int64_t count = given[which].array.as<std::int64_t>()[f];
-            if (count < 1 || count > most) throw std::invalid_argument("a face without corners");
+            if (count < least || count > most)
+                throw std::invalid_argument("a face without corners");
             return count;
         };
         face.corners = of(given[2], number(3, given[2].array.shape[1]));
         face.needed = number(4, face.corners.cols());
         const double* rectangle = given[5].array.as<double>() + 4 * f;
         face.rectangle = {{rectangle[0], rectangle[1]}, {rectangle[2], rectangle[3]}};
-        face.sides = of(given[6], number(7, given[6].array.shape[1]));
+        face.sides = of(given[6], number(7, given[6].array.shape[1], 0));
         face.nodes = of(given[8], given[8].array.shape[1]);
         face.middle = face.nodes.rowwise().mean();
         face.reach = (face.corners.colwise() - face.middle).colwise().norm().maxCoeff();
