@@ -1,0 +1,37 @@
+"""Boards of the file's dictionary in other numbers: what markers tell, and what they leave open."""
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from trigpoint.edge.markers.markers import Markers
+from trigpoint.edge.markers.other_sizes import layout_of, other_size
+from trigpoint.edge.registration.appearance import Appearance
+from trigpoint.site.target import NOWHERE, Face, Numbering, Pattern
+
+GRID = Face(
+    *(0, Pattern.APRILGRID, 6, 6, 0.08, *NOWHERE),
+    marker=0.06,
+    dictionary="DICT_APRILTAG_36h11",
+    numbering=Numbering.KALIBR,
+)
+
+
+def read(true: Face, numbers: list[int]) -> Markers:
+    """Some of a board's markers, seen from the front."""
+    corners = 100.0 + 1000.0 * layout_of(true)[numbers]
+    return Markers(np.array(numbers), corners, np.ones(len(numbers)), np.arange(len(numbers)))
+
+
+def test_a_wider_board_is_told_by_its_rows() -> None:
+    true = replace(GRID, columns=11, rows=4)
+    found = other_size(Appearance(GRID, "box", 0), read(true, list(range(44))))
+    assert found is not None
+    assert found.face.columns == 11
+
+
+@pytest.mark.parametrize("shown", [[*range(7), 11, 12, 13], [*range(10)]])
+def test_rows_that_fit_boards_of_several_widths_tell_nothing_false(shown: list[int]) -> None:
+    true = replace(GRID, columns=11, rows=4)
+    found = other_size(Appearance(GRID, "box", 0), read(true, shown))
+    assert found is None or found.face.columns == 11
