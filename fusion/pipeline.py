@@ -386,9 +386,9 @@ class Pipeline:
     def results(self) -> Results:
         """The results as they are known now; see `reports`."""
         results = self.reports.results()
-        if self._fixed is not None:
-            return results
-        return replace(results, network=self.arrivals.explained(results.network))
+        if self._fixed is None:
+            results = replace(results, network=self.arrivals.explained(results.network))
+        return results
 
     def guidance_world(self) -> GuidanceWorld | None:
         """A copy of what is known for guidance to work on; None where there is too little yet, or
