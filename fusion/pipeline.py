@@ -391,8 +391,7 @@ class Pipeline:
         return results
 
     def guidance_world(self) -> GuidanceWorld | None:
-        """A copy of what is known for guidance to work on; None where there is too little yet, or
-        where the estimator has none."""
+        """A copy of what is known, for guidance; None where that is too little, or not told."""
         return self._estimator.guidance_world()
 
     def residuals(self) -> dict[str, CameraResiduals]:
