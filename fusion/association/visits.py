@@ -16,7 +16,7 @@ _DRIFT_M = 0.15
 _DRIFT_RAD = 0.1
 # A visit also ends where its robot is out of sight for longer than this, or than so many times the
 # median interval between pictures: nothing was observed meanwhile.
-_LONGEST_GAP_NS = 10_000_000_000
+_LONGEST_GAP_NS = 20_000_000_000
 _LONGEST_GAP_PERIODS = 50
 # So many pictures of a visit determine its modes; the others are then read by these.
 _MOST_VIEWS = 12

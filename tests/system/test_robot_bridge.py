@@ -127,7 +127,7 @@ def test_garbage_on_the_line_is_counted_and_the_odometry_still_comes(desk: Desk)
         assert eventually(goes_on)
         assert node.health.lost("serial_framing_errors") > 5
         report = node.diagnostics().statuses[0]
-        assert "serial_framing_errors" in report.message
+        assert "serial framing errors" in report.message
     os.close(ours)
     os.close(theirs)
 

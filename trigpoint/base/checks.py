@@ -1,11 +1,13 @@
 """The result of one of `doctor`'s checks of this machine."""
 
-from typing import Literal, NamedTuple
+from typing import Literal
+
+from msgspec import Struct
 
 Level = Literal["ok", "warning", "error"]
 
 
-class Check(NamedTuple):
+class Check(Struct, frozen=True):
     """One finding. `message`: what was found; `remedy`: what to do, "" if nothing."""
 
     name: str

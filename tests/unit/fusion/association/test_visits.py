@@ -23,12 +23,12 @@ def test_two_pictures_tell_no_lens_and_no_lens_is_asked_that_is_known() -> None:
     assert telling_of_lenses(visits, {"c1"}) == []
 
 
-@pytest.mark.parametrize(("hidden_s", "visits"), [(8.0, 1), (13.0, 2)])
+@pytest.mark.parametrize(("hidden_s", "visits"), [(17.0, 1), (22.0, 2)])
 def test_a_robot_that_was_out_of_sight_for_long_may_have_been_carried(
     hidden_s: float, visits: int
 ) -> None:
     """Even by a camera that has taken only two pictures, and though odometry says it stood."""
-    data = observed(make_session(replace(standing_plan(), seconds=20.0)))
+    data = observed(make_session(replace(standing_plan(), seconds=30.0)))
     seen = [each.observation for each in data.entries if each.observation.camera == "c1"]
     near = [abs(to_seconds(o.stamp_ns - seen[0].stamp_ns) - hidden_s) for o in seen]
     last = min(range(len(seen)), key=near.__getitem__)
