@@ -57,7 +57,8 @@ def main(
 def _compared(
     pictured: PictureSet, pictures: Sequence[Path], python: list[str], site: Path, out: Path
 ) -> Row:
-    """How far any corner lies from where it is found here; all must be found in both."""
+    """How far any corner lies from where it is found here; the same must be found in both, and
+    something in some picture."""
     target = out / "target.toml"
     target.write_text(_target_text(pictured.face))
     words = ["-m", "trigpoint", "detect", *map(str, pictures), "--target", str(target), "--json"]
@@ -65,10 +66,11 @@ def _compared(
     there = _sightings([*python, "-P", *words], {"PYTHONPATH": str(site.resolve())})
     typer.echo(f"{pictured.name}: {time.perf_counter() - began:.0f} s under qemu", err=True)
     here = _sightings([sys.executable, *words], {})
-    off = 0.0
-    for ours, theirs in zip(there, here, strict=True):
-        off = max(off, _apart(ours["faces"], theirs["faces"]))
-    return Row("arm", f"{pictured.name}: corners, farthest from here", "px", off, _MOST_PX, "most")
+    pairs = [(a["faces"], b["faces"]) for a, b in zip(there, here, strict=True)]
+    found = sum(len(face["corners"]) for faces, _ in pairs for face in faces)
+    off = max((_apart(*pair) for pair in pairs), default=0.0) if found else float("inf")
+    what = f"{pictured.name}: {found} corners, farthest from here"
+    return Row("arm", what, "px", off, _MOST_PX, "most")
 
 
 def _apart(there: list[dict[str, Any]], here: list[dict[str, Any]]) -> float:
@@ -105,8 +107,12 @@ def _python(system: Path) -> list[str]:
         # Sources that do not have that machine are no matter.
         subprocess.run([*apt, "update"], timeout=_MOST_SECONDS, check=False)
         _run([*apt, "-y", "--download-only", "install", *_SYSTEM])
+        unpacked = state / "unpacked"
+        shutil.rmtree(unpacked, ignore_errors=True)
         for package in (state / "cache/archives").glob("*.deb"):
-            _run(["dpkg-deb", "-x", str(package), str(system)])
+            _run(["dpkg-deb", "-x", str(package), str(unpacked)])
+        shutil.rmtree(system, ignore_errors=True)
+        unpacked.rename(system)
     return command
 
 

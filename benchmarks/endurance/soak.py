@@ -257,11 +257,12 @@ def main(
     seconds = 3600 * hours
     with ExitStack() as stack:
         soak = Soak(out.absolute(), stack, seconds)
-        stack.callback(_write, soak.record, out)  # what was seen of a run that fails, too
+        stack.callback(write_record, soak.record, out)  # what was seen of a run that fails, too
         soak.run(every)
     typer.echo(f"{report(soak.record)}\nwritten to {out / 'soak.md'}")
 
 
-def _write(record: Record, out: Path) -> None:
+def write_record(record: Record, out: Path) -> None:
+    """Write soak.json and soak.md to a folder."""
     (out / "soak.json").write_text(json.dumps(to_builtins(record)))
     (out / "soak.md").write_text(report(record) + "\n", encoding="utf-8")

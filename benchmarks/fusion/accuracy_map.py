@@ -28,7 +28,7 @@ from trigpoint.fusion.coverage.known_network import (
 )
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.pipeline import Inputs
-from trigpoint.fusion.reading.sight import told_by
+from trigpoint.fusion.reading.sight import information_at
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.tools.simulation.world import World
@@ -127,7 +127,7 @@ def _stated(
     """What the map says: the radius, the one camera that is needed, and how many see the robot."""
     parts: list[tuple[np.ndarray, ...]] = []
     for number, eye in enumerate(network.eyes):
-        told = told_by(eye, carried.faces, base)
+        told = information_at(eye, carried.faces, base)
         arm = base.translation[told.rows] - eye.map_from_camera.translation
         parts.append((told.rows, np.full(len(told.rows), number), told.information, arm))
     pictures = Pictures(*(np.concatenate(part) for part in zip(*parts, strict=True)))

@@ -58,7 +58,8 @@ def charuco_by_calib_targets(face: Face) -> Finder:
 
 
 def tags_by_apriltag(face: Face) -> Finder:
-    """AprilTag 3, which looks for edges at half the size, as it does where nothing else is said."""
+    """Tags of the family 36h11 by AprilTag 3, which looks for edges at half the size, as it does
+    where nothing else is said."""
     detector = apriltag("tag36h11", decimate=2.0)
 
     def find(picture: np.ndarray) -> list[Found]:

@@ -9,9 +9,8 @@ from trigpoint.native.library import In, Kernel, Out
 
 from .markers import Markers
 
-# Correlation of a marker's cells, to join a board; and to start one, as of `groups.cpp`.
+# Correlation of a marker's cells, to join a board.
 LEAST_MEMBER = 0.45
-_LEAST_SEED = 0.6
 MOST_GROUPS = 8
 # Of the likeliest markers, how many are looked at.
 MOST_MARKERS = 400
@@ -42,8 +41,6 @@ def group_markers(markers: Markers, layout: Array) -> list[MarkerGroup]:
 
     `layout`: (m, 4, 2) the markers' corners on the board, clockwise from the top left.
     """
-    if len(markers) == 0 or markers.scores[0] < _LEAST_SEED:
-        return []
     markers = markers.first(MOST_MARKERS)
     members, ends = np.empty(len(markers), np.int64), np.empty(MOST_GROUPS, np.int64)
     count = _GROUPS(

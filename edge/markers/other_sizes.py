@@ -27,8 +27,8 @@ LEAST_VOTES = 6
 # How far a marker's middle may lie from where the others put it, of the marker's side; and what is
 # measured wrong of its size where corners are blurred.
 _NEAR, _MARKER_SHARE = 0.2, 0.1
-# On the board that is meant most markers agree: four of them are soon drawn that do.
-_MOST_TRIES = 100
+# Where six of ten markers are on the board, so many draws of four miss it once in 250 times.
+_MOST_TRIES = 40
 
 
 class OtherSize(Struct, frozen=True):
@@ -74,30 +74,33 @@ class OtherSize(Struct, frozen=True):
 
 def other_size(look: Appearance, read: Markers) -> OtherSize | None:
     """What most of the markers that were `read`, each once and by its id, agree on, the file's own
-    numbers before others; None where too few agree, or as many on boards of
-    other widths."""
-    best: tuple[int, OtherSize] | None = None
-    is_tied = False
+    numbers before others; None where too few agree, or as many on boards of other widths."""
     if len(read) < LEAST_VOTES:
         return None
-    for face in _faces(look.face, read.numbers):
-        which = np.flatnonzero(
-            (read.numbers >= face.first_marker)
-            & (read.numbers < face.first_marker + face.marker_count)
-        )
-        if len(which) < max(LEAST_VOTES, best[0] if best else 0):
-            continue
-        numbers = read.numbers[which] - face.first_marker
-        fit, agree = _agreeing(layout_of(face)[numbers], read.corners[which])
-        votes = int(agree.sum())
-        if fit is not None and votes > (best[0] if best else LEAST_VOTES - 1):
-            seen = _as_seen(face, numbers[agree], read.corners[which[agree]], fit)
-            best, is_tied = (votes, OtherSize(look, seen, numbers[agree], which[agree])), False
-            if face is look.face and votes == len(read):
-                break
-        elif best and votes == best[0] and best[1].face.columns != look.face.columns:
-            is_tied |= face.columns != best[1].face.columns
-    return best[1] if best and not is_tied else None
+    own = _voted(look, look.face, read)
+    if own and len(own.which) == len(read):
+        return own
+    others = (_voted(look, face, read) for face in _faces(look.face, read.numbers))
+    found = [each for each in (own, *others) if each]
+    most = max((len(each.which) for each in found), default=0)
+    best = [each for each in found if len(each.which) == most]
+    is_told = len({each.face.columns for each in best}) == 1
+    return best[0] if is_told or (best and best[0].face.columns == look.face.columns) else None
+
+
+def _voted(look: Appearance, face: Face, read: Markers) -> OtherSize | None:
+    """A board with the markers that agree on it; None where these are too few."""
+    which = np.flatnonzero(
+        (read.numbers >= face.first_marker) & (read.numbers < face.first_marker + face.marker_count)
+    )
+    if len(which) < LEAST_VOTES:
+        return None
+    numbers = read.numbers[which] - face.first_marker
+    fit, agree = _agreeing(layout_of(face)[numbers], read.corners[which])
+    if fit is None or agree.sum() < LEAST_VOTES:
+        return None
+    seen = _as_seen(face, numbers[agree], read.corners[which[agree]], fit)
+    return OtherSize(look, seen, numbers[agree], which[agree])
 
 
 def layout_of(face: Face) -> Array:
@@ -108,7 +111,7 @@ def layout_of(face: Face) -> Array:
 
 
 def _faces(face: Face, ids: np.ndarray) -> Iterator[Face]:
-    yield face
+    """Boards of every width, with the rows that the markers `ids` need."""
     for first in dict.fromkeys((face.first_marker, int(ids.min()))):
         for other in _ways(face):
             for columns in range(2, _MOST + 1):
@@ -126,17 +129,15 @@ def _ways(face: Face) -> tuple[Face, Face]:
 
 def _reaching(face: Face, last: int) -> Face | None:
     """The face with as few rows as have the marker `last`, or as many as its dictionary has."""
-    reached = None
-    for rows in range(2, _MOST + 1):
-        face = replace(face, rows=rows)
+    fields = (last - face.first_marker + 1) * (2 if face.pattern is Pattern.CHARUCO else 1)
+    for rows in range(min(max(-(-fields // face.columns), 2), _MOST), 1, -1):
+        reached = replace(face, rows=rows)
         try:
-            dictionary_of(face)
+            dictionary_of(reached)
         except TargetError:
-            break
-        reached = face
-        if face.first_marker + face.marker_count > last:
-            break
-    return reached
+            continue
+        return reached
+    return None
 
 
 def _agreeing(layout: Array, corners: Array) -> tuple[Array | None, np.ndarray]:

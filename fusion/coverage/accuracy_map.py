@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 from msgspec import Struct
 
-from trigpoint.fusion.reading.sight import told_by
+from trigpoint.fusion.reading.sight import information_at
 from trigpoint.geometry.rotation import Array
 
 from .correction_errors import Pictures, expected_errors
@@ -178,7 +178,7 @@ def _pictures(network: KnownNetwork, carried: Carried, places: Array) -> Picture
         if not len(near):
             continue
         bases = standing(places[near])
-        told = told_by(eye, carried.faces, bases)
+        told = information_at(eye, carried.faces, bases)
         pose.append(near[told.rows // HEADINGS] * HEADINGS + told.rows % HEADINGS)
         camera.append(np.full(len(told.rows), number))
         information.append(told.information)

@@ -7,7 +7,7 @@ import numpy as np
 from msgspec import Struct
 
 from trigpoint.fusion.model.places import are_near
-from trigpoint.fusion.reading.sight import told_by
+from trigpoint.fusion.reading.sight import information_at
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
@@ -116,5 +116,5 @@ def _seen_coarsely(network: KnownNetwork, carried: Carried) -> Iterator[Array]:
         around = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
         places = around + eye.map_from_camera.translation[:2]
         places = places[eye.may_see(carried.faces, places)]
-        told = told_by(eye, carried.faces, standing(places, _COARSE_HEADINGS))
+        told = information_at(eye, carried.faces, standing(places, _COARSE_HEADINGS))
         yield places[np.unique(told.rows // _COARSE_HEADINGS)]

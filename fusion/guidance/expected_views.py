@@ -95,8 +95,7 @@ def _corners(world: GuidanceWorld, faces: Faces, poses: Pose, camera: str) -> np
     """Which corners (n, f, c) of a robot's faces a camera is expected to find at its poses (n);
     nothing far from where it saw before."""
     views, state = world.views[camera], world.state.cameras[camera]
-    most = max(face.corner_count for face in faces.target.faces)
-    found = np.zeros((len(poses), len(faces.target.faces), most), dtype=bool)
+    found = np.zeros((len(poses), *faces.shape), dtype=bool)
     rows = np.flatnonzero(are_near(poses.translation, views.places, SEEN_M))
     eye = Eye(camera, state.map_from_camera, state.lens, views.sigma_px)
     found[rows] = corners_found(eye, faces, poses[rows], _WITH_ROOM)

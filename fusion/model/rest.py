@@ -61,7 +61,6 @@ _ADDED_TO_TRACK = Kernel(
     *("tp_odometry_added", Rest, int, int, *_POSE, *_FOUND, int),
     *(Out(_REAL, ("n", 3, 3)), Out(_REAL, ("n", 3)), Out(_REAL, ("n", 6)), Out(_REAL, (2,))),
 )
-
 _SAVED = Kernel("tp_rest_saved", Rest, Out(_WHOLE, ("n",)))
 _RESTORED = Kernel("tp_rest_restored", Rest, In(_WHOLE, ("n",)))
 

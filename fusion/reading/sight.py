@@ -74,6 +74,11 @@ class Faces(Struct, frozen=True, eq=False, dict=True):
     target: Target
     base_from_face: Pose
 
+    @property
+    def shape(self) -> tuple[int, int]:
+        """How many faces, and the most corners of one."""
+        return len(self.target.faces), max(face.corner_count for face in self.target.faces)
+
     @cached_property
     def ball(self) -> tuple[float, float, float]:
         """Everything that it shows, whatever the heading: the height of the middle, the greatest
@@ -111,7 +116,7 @@ class Faces(Struct, frozen=True, eq=False, dict=True):
         )
 
 
-class Told(Struct, frozen=True, eq=False):
+class PoseInformation(Struct, frozen=True, eq=False):
     """At which poses a camera finds a target, `rows` (k,), and the information (k, 6, 6) of its
     picture on the disturbance of the robot's pose there."""
 
@@ -119,12 +124,12 @@ class Told(Struct, frozen=True, eq=False):
     information: Array
 
 
-def told_by(eye: Eye, faces: Faces, map_from_base: Pose) -> Told:
+def information_at(eye: Eye, faces: Faces, map_from_base: Pose) -> PoseInformation:
     """What a camera's picture tells of a robot at each of its poses (n)."""
     information = np.zeros((len(map_from_base), 6, 6))
     _look(eye, faces, map_from_base, DETECTED, information)
     rows = np.flatnonzero(information.any(axis=(1, 2)))
-    return Told(rows, information[rows] / eye.sigma_px**2)
+    return PoseInformation(rows, information[rows] / eye.sigma_px**2)
 
 
 def corners_found(eye: Eye, faces: Faces, map_from_base: Pose, rules: Rules) -> np.ndarray:
@@ -136,8 +141,7 @@ def corners_found(eye: Eye, faces: Faces, map_from_base: Pose, rules: Rules) -> 
 def _look(
     eye: Eye, faces: Faces, map_from_base: Pose, rules: Rules, information: Array
 ) -> np.ndarray:
-    corners = faces.tables[2]
-    seen = np.empty((len(map_from_base), *corners.shape[:2]), dtype=bool)
+    seen = np.empty((len(map_from_base), *faces.shape), dtype=bool)
     bounds = rules.least_cosine, rules.least_side_px, _widest_rad(eye.lens), _scale_px(eye.lens)
     _SIGHT(
         *(eye.lens.parameters, eye.lens.limits(rules.margin_px), np.array(bounds)),

@@ -5,7 +5,9 @@ from bisect import bisect_left
 from collections.abc import Collection, Iterator, Sequence
 from operator import attrgetter
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import IO
+
+from msgspec import Struct
 
 from trigpoint.base.errors import RecordingError
 from trigpoint.contract.topics import Topic, topic_of
@@ -29,11 +31,10 @@ LAST_NS = 2**63 - 1
 _LOG = logging.getLogger(__name__)
 
 
-class RecordedSample(NamedTuple):
+class RecordedSample(Struct, frozen=True):
     """One message of a session, its payload as it was on the bus.
 
-    `log_ns`: when the recorder received it; `published_ns`: the sender's Zenoh timestamp. A tuple,
-    since reading creates a hundred thousand per second.
+    `log_ns`: when the recorder received it; `published_ns`: the sender's Zenoh timestamp.
     """
 
     key: str

@@ -8,48 +8,14 @@ import pytest
 from support.builders import REAL_DATA
 from support.pictures.boards import target_of
 
+from benchmarks.pictures.real_sets import APRILGRID, CHARUCO_ARM, CHARUCO_VIDEO
 from trigpoint.edge.detector import TargetDetector, detector_for
 from trigpoint.edge.sources.frames_video import Video
 from trigpoint.edge.sources.picture_files import pictures_in, read_picture
-from trigpoint.site.target import NOWHERE, Face, Numbering, Pattern
+from trigpoint.site.target import Face
 
 ARM, VIDEO = REAL_DATA / "charuco-arm", REAL_DATA / "charuco-video"
-ARM_BOARD = Face(
-    0,
-    Pattern.CHARUCO,
-    5,
-    7,
-    0.036195,
-    *NOWHERE,
-    marker=0.018256,
-    dictionary="DICT_6X6_250",
-)
-# The marker's share of a square, 0.75, is its authors'; with five rows, legacy makes no difference.
-VIDEO_BOARD = Face(
-    0,
-    Pattern.CHARUCO,
-    4,
-    5,
-    0.054,
-    *NOWHERE,
-    marker=0.0405,
-    dictionary="DICT_4X4_1000",
-    inverted=True,
-)
-
 SCREEN = REAL_DATA / "boards" / "aprilgrid"
-KALIBRS_GRID = Face(
-    0,
-    Pattern.APRILGRID,
-    6,
-    6,
-    0.1144,
-    *NOWHERE,
-    marker=0.088,
-    dictionary="DICT_APRILTAG_36h11",
-    border_bits=2,
-    numbering=Numbering.KALIBR,
-)
 
 
 def theirs(face: Face, picture: np.ndarray) -> dict[int, np.ndarray]:
@@ -78,11 +44,11 @@ def distances(one: dict[int, np.ndarray], other: dict[int, np.ndarray]) -> list[
 
 @pytest.mark.skipif(not ARM.is_dir(), reason=f"the real pictures of {ARM.name} are not here")
 def test_every_corner_of_the_arms_board_is_found_where_opencv_sees_it() -> None:
-    detector = detector_for([target_of(ARM_BOARD)])
+    detector = detector_for([target_of(CHARUCO_ARM)])
     off = []
     for file in pictures_in(ARM):
         picture = read_picture(file)
-        mine, reference = ours(detector, picture), theirs(ARM_BOARD, picture)
+        mine, reference = ours(detector, picture), theirs(CHARUCO_ARM, picture)
         assert len(mine) == 24, file.name
         assert len(mine) >= len(reference)
         off += distances(mine, reference)
@@ -93,10 +59,10 @@ def test_every_corner_of_the_arms_board_is_found_where_opencv_sees_it() -> None:
 @pytest.mark.skipif(not VIDEO.is_dir(), reason=f"the real videos of {VIDEO.name} are not here")
 @pytest.mark.parametrize("camera", range(4))
 def test_every_picture_of_a_video_gives_as_many_corners_as_opencv_finds(camera: int) -> None:
-    detector = detector_for([target_of(VIDEO_BOARD)])
+    detector = detector_for([target_of(CHARUCO_VIDEO)])
     counts, off = [], []
     for picture in every_third(VIDEO / f"cam_{camera}.mp4"):
-        mine, reference = ours(detector, picture), theirs(VIDEO_BOARD, picture)
+        mine, reference = ours(detector, picture), theirs(CHARUCO_VIDEO, picture)
         counts.append((len(mine), len(reference)))
         off += distances(mine, reference)
         # OpenCV gives lone corners too, of a board that hardly is in the picture.
@@ -124,8 +90,8 @@ def test_kalibrs_grid_on_a_screen_is_found_whole_and_each_corner_where_opencv_ha
     name: str,
 ) -> None:
     picture = read_picture(SCREEN / name)
-    found = ours(detector_for([target_of(KALIBRS_GRID)]), picture)
-    assert len(found) == KALIBRS_GRID.corner_count
+    found = ours(detector_for([target_of(APRILGRID)]), picture)
+    assert len(found) == APRILGRID.corner_count
     # At a quarter of the size, as at the whole one OpenCV takes twelve seconds.
     small = cv2.resize(picture, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA)
     parameters = cv2.aruco.DetectorParameters()

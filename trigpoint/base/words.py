@@ -23,7 +23,7 @@ def plus_minus(sigma_m: float) -> str:
     """A standard deviation: «±0.8 cm», «<0.1 cm», «±1.2 m»."""
     if sigma_m < 1e-3:
         return "<0.1 cm"
-    return f"±{100 * sigma_m:.1f} cm" if sigma_m < 1 else f"±{sigma_m:.1f} m"
+    return f"±{100 * sigma_m:.1f} cm" if round(sigma_m, 3) < 1 else f"±{sigma_m:.1f} m"
 
 
 def loss_words(losses: Mapping[str, int]) -> str:

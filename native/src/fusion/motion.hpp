@@ -8,6 +8,9 @@
 
 namespace trigpoint {
 
+// A twist of which no part is so large is no motion; as STILL of `motion.py`.
+constexpr double STILL = 1e-9;
+
 // The free components of a node's disturbance, of six.
 struct Tangent {
     const std::int64_t* axes;

@@ -26,8 +26,6 @@ constexpr std::int64_t ABOUT_NS = 2'000'000;
 // The variance of a motion that is not known (m², rad²); and what every motion has: keeps the
 // information of a tiny one finite.
 constexpr double UNKNOWN_VARIANCE = 100.0 * 100.0, FLOOR_VARIANCE = 1e-13;
-// A twist of a step below which the robot stands.
-constexpr double STILL = 1e-9;
 // The tightest bends that a robot is assumed to have driven in a gap.
 constexpr double GAP_RADIUS_M = 0.5;
 

@@ -28,8 +28,6 @@ constexpr double MOST_PLACE = 0.01, MOST_TURN = 1 * DEGREE;
 constexpr double BIAS = 0.1 * DEGREE;
 // Over a longer silence than this, and than so many of the intervals before, nothing is noise.
 constexpr std::int64_t GAP_NS = 1'000'000'000, GAP_INTERVALS = 3;
-// A twist without motion, as STILL of `motion.py`.
-constexpr double STILL = 1e-9;
 
 // How far two poses are apart: m, and rad by the chord between their rotations.
 struct Apart {

@@ -117,6 +117,7 @@ private:
 TRIGPOINT_KERNEL(tp_marker_groups) {
     const Array &numbers = arguments[0].array, &layout = arguments[3].array;
     const auto scores = arguments[2].array.rows<1>();
+    if (scores.rows() == 0 || !(scores(0) >= LEAST_SEED)) return 0;
     Markers markers;
     for (std::int64_t i = 0; i < numbers.shape[0]; ++i) {
         const std::int64_t number = numbers.as<const std::int64_t>()[i];

@@ -1,9 +1,12 @@
 """The report of a soak run says what was broken, and what memory did after it settled."""
 
+import json
+from pathlib import Path
+
 import pytest
 
 from benchmarks.endurance.report import memory_ratio_parts, report
-from benchmarks.endurance.soak import Break, Record, Sample
+from benchmarks.endurance.soak import Break, Record, Sample, write_record
 
 
 def test_memory_is_held_against_what_it_was_once_settled() -> None:
@@ -29,3 +32,12 @@ def test_report_names_what_broke_and_who_lost() -> None:
     assert "| edge/c1 7 | pictures | 3 |" in lines
     assert "| fusion | 2 | 10.0 | 10.0 | 1.000 | 20 to 20 | 5 to 5 |" in lines
     assert "| odom | 2 | 15 ms | 20 ms | 20 ms |" in lines
+
+
+def test_what_was_seen_is_written_whole(tmp_path: Path) -> None:
+    record = Record(9.0, [Sample(1.0, "fusion", 1, 10.0, 20, 5)], [Break(2.0, "cut", "odom", 0.5)])
+    write_record(record, tmp_path)
+    written = json.loads((tmp_path / "soak.json").read_text())
+    assert written["samples"][0]["program"] == "fusion"
+    assert written["breaks"][0]["back_s"] == 0.5
+    assert (tmp_path / "soak.md").exists()

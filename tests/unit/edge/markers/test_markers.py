@@ -97,3 +97,11 @@ def test_more_boards_than_are_looked_for_are_left() -> None:
     places = [np.array([300.0 * column, 300.0 * row]) for row in range(3) for column in range(4)]
     boards = [seen_at(at, [0, 1, 2], [0.9, 0.8, 0.7], 3 * n) for n, at in enumerate(places)]
     assert len(group_markers(joined(*boards), charuco_layout(FACE))) == MOST_GROUPS
+
+
+@pytest.mark.parametrize(("strays", "boards"), [(63, 1), (64, 0)])
+def test_so_many_markers_are_tried_as_the_start_of_a_board(strays: int, boards: int) -> None:
+    """However many a picture shows, most of which are no board's."""
+    parts = [seen_at(np.array([1e4 * k, 0.0]), [0], [0.79], k) for k in range(1, strays + 1)]
+    board = seen_at(np.zeros(2), [2, 3, 4, 5, 6], [0.75] * 5, 100)
+    assert len(group_markers(joined(*parts, board), charuco_layout(FACE))) == boards

@@ -47,3 +47,8 @@ def test_place_that_is_hardly_known_is_no_excuse_for_one_that_is_well_known() ->
 
 def test_nothing_explained_is_no_place() -> None:
     assert alternatives_of([]) == ()
+
+
+def test_a_place_that_is_no_number_is_one_of_its_own() -> None:
+    nowhere = Place(Pose(np.eye(3), np.full(3, np.nan)), COVARIANCE, 0.0)
+    assert len(alternatives_of([nowhere, place(0, 0.0), nowhere])) == 3

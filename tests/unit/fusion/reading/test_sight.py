@@ -7,7 +7,7 @@ from msgspec import structs
 from trigpoint.fusion.coverage.floor import HEADINGS, standing
 from trigpoint.fusion.model.observations import base_from_faces
 from trigpoint.fusion.model.projection import projected
-from trigpoint.fusion.reading.sight import DETECTED, Eye, Faces, corners_found, told_by
+from trigpoint.fusion.reading.sight import DETECTED, Eye, Faces, corners_found, information_at
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.camera import LensModel
 from trigpoint.geometry.rotation import Array
@@ -61,9 +61,9 @@ def test_a_robot_is_seen_where_the_labs_detector_finds_a_face(
     camera, faces = eye(lens), mounted(target)
     places = np.random.default_rng(5).uniform([0.5, -1.5], [4.5, 2.5], (80, 2))
     bases = standing(places)
-    told_of = told_by(camera, faces, bases)
+    seen = information_at(camera, faces, bases)
     found = np.zeros(len(bases), dtype=bool)
-    found[told_of.rows] = True
+    found[seen.rows] = True
     each = seen_faces_each(target, bases, camera.map_from_camera, camera.lens, ())
     shown = [[face for face in faces if face.is_found(LEAST_SIDE_PX)] for faces in each]
     truth = np.array([bool(faces) for faces in shown])
@@ -73,7 +73,7 @@ def test_a_robot_is_seen_where_the_labs_detector_finds_a_face(
     # Sheets have a white edge beyond the pattern, which hides a corner or two more.
     assert np.mean(found == truth) > 0.995
     logs = []
-    for row, information in zip(told_of.rows.tolist(), told_of.information, strict=True):
+    for row, information in zip(seen.rows.tolist(), seen.information, strict=True):
         if truth[row]:
             told = sum(information_of(face, bases[row], camera) for face in shown[row])
             logs.append(np.log(np.linalg.det(information) / np.linalg.det(told)) / 12)
@@ -95,7 +95,7 @@ def information_of(seen: SeenFace, base: Pose, camera: Eye) -> Array:
 def test_what_may_be_seen_leaves_out_nothing_that_is() -> None:
     camera, faces = eye(BARREL), mounted(target_of("charuco"))
     places = np.random.default_rng(6).uniform(-9.0, 9.0, (2000, 2))
-    told = told_by(camera, faces, standing(places))
+    told = information_at(camera, faces, standing(places))
     may = camera.may_see(faces, places)
     assert may[np.unique(told.rows // HEADINGS)].all()
     assert may.mean() < 0.6
@@ -103,5 +103,13 @@ def test_what_may_be_seen_leaves_out_nothing_that_is() -> None:
 
 def test_a_board_that_turns_its_back_is_not_seen() -> None:
     target = grid_target()
-    told = told_by(eye(BARREL), mounted(target), standing(np.array([[3.0, 1.0]]), 36))
+    told = information_at(eye(BARREL), mounted(target), standing(np.array([[3.0, 1.0]]), 36))
     assert 3 <= len(told.rows) <= 16
+
+
+def test_a_face_of_one_corner_is_seen_beside_another() -> None:
+    [face, *_] = target_of("charuco").faces
+    target = Target("two", (face, structs.replace(face, id=1, columns=2, rows=2)))
+    seen = corners_found(eye(BARREL), mounted(target), standing(np.array([[2.0, 0.5]])), DETECTED)
+    assert seen[:, 1, 0].any()
+    assert not seen[:, 1, 1:].any()
