@@ -15,8 +15,14 @@ constexpr std::int64_t SPATIAL[] = {0, 1, 2, 3, 4, 5}, PLANAR[] = {0, 1, 5};
 
 }  // namespace
 
+std::int64_t moment(std::int64_t stamp_ns) {
+    if (stamp_ns < -MOST_NS || stamp_ns > MOST_NS)
+        throw std::invalid_argument("a moment that is none");
+    return stamp_ns;
+}
+
 Tangent::Tangent(const std::int64_t* given, Index how_many) : axes(given), count(how_many) {
-    if (count > 6) throw std::out_of_range("a pose has six components");
+    if (count < 1 || count > 6) throw std::out_of_range("a pose has six components");
     for (Index i = 0; i < count; ++i)
         if (axes[i] < 0 || axes[i] > 5) throw std::out_of_range("a pose has six components");
 }

@@ -11,12 +11,17 @@ namespace trigpoint {
 // A twist of which no part is so large is no motion; as STILL of `motion.py`.
 constexpr double STILL = 1e-9;
 
+// Moments and spans of time beyond this are none: the differences of others are numbers.
+constexpr std::int64_t MOST_NS = 4'000'000'000'000'000'000;
+// The stamp of a moment; throws std::invalid_argument where it is none.
+std::int64_t moment(std::int64_t stamp_ns);
+
 // The free components of a node's disturbance, of six.
 struct Tangent {
     const std::int64_t* axes;
     Eigen::Index count;
 
-    // Throws std::out_of_range where these are none.
+    // Throws std::out_of_range where there is none, or one that a pose has not.
     Tangent(const std::int64_t* given, Eigen::Index how_many);
     // Of a robot in the plane (x, y, heading), or in space.
     static Tangent of(bool is_planar);

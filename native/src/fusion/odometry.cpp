@@ -19,8 +19,6 @@ using Eigen::Vector3d;
 using Square = Eigen::Matrix<double, 6, 6, Eigen::RowMajor>;
 
 constexpr double NANOSECONDS = 1e9;
-// Moments and spans beyond this are none: the differences of others are numbers.
-constexpr std::int64_t MOST_NS = 4'000'000'000'000'000'000;
 // The robot's twist about a moment is taken over so long to either side.
 constexpr std::int64_t ABOUT_NS = 2'000'000;
 // The variance of a motion that is not known (m², rad²); and what every motion has: keeps the
@@ -41,12 +39,6 @@ Vector6d twist_of(const Pose& motion) {
     found.tail<3>() = log(motion.rotation);
     found.head<3>() = left_jacobian(found.tail<3>()).inverse() * motion.translation;
     return found;
-}
-
-std::int64_t moment(std::int64_t stamp_ns) {
-    if (stamp_ns < -MOST_NS || stamp_ns > MOST_NS)
-        throw std::invalid_argument("a moment that is none");
-    return stamp_ns;
 }
 
 std::int64_t to_ns(double seconds) {

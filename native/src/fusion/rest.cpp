@@ -75,6 +75,7 @@ public:
     }
     void pass(Reading& reading) {
         pass(reading.stamp_ns);
+        moment(reading.stamp_ns);
         pass(reading.pose);
         pass(reading.step);
     }
@@ -141,6 +142,7 @@ public:
         cells.pass(noise_);
         cells.pass(frame_);
         cells.pass(interval_ns_);
+        if (anchor_ && recent_.empty()) throw std::invalid_argument("a rest without readings");
     }
 
 private:
@@ -149,7 +151,7 @@ private:
         if (recent_.empty()) return {stamp_ns, pose, {}};
         const Reading last = recent_.back();
         const std::int64_t interval_ns = stamp_ns - last.stamp_ns;
-        if (interval_ns > std::max(GAP_NS, GAP_INTERVALS * interval_ns_)) {
+        if (interval_ns > GAP_NS && interval_ns / GAP_INTERVALS > interval_ns_) {
             if (anchor_) {
                 recent_ = {last};
                 leave();
@@ -254,7 +256,7 @@ TRIGPOINT_OBJECT(tp_rest, Rest)
 TRIGPOINT_KERNEL(tp_rest_added) {
     Rest& rest = *static_cast<Rest*>(arguments[0].object);
     const Pose pose = reported(arguments[1].whole, arguments + 3);
-    const Pose found = rest.added(arguments[2].whole, pose);
+    const Pose found = rest.added(moment(arguments[2].whole), pose);
     put_pose(found, arguments[5].array.as<double>(), arguments[6].array.as<double>(), 0);
     return rest.trembles();
 }
@@ -270,7 +272,7 @@ TRIGPOINT_KERNEL(tp_odometry_added) {
     if (row < 0 || row >= rotations.shape[0]) throw std::out_of_range("a row beyond the track");
     const Pose said = reported(arguments[1].whole, arguments + 3);
     put_pose(said, arguments[5].array.as<double>(), arguments[6].array.as<double>(), 0);
-    const Pose pose = rest.added(arguments[2].whole, said);
+    const Pose pose = rest.added(moment(arguments[2].whole), said);
     put_pose(pose, rotations.as<double>(), translations.as<double>(), row);
     double* measures = arguments[11].array.as<double>();
     measures[0] = measures[1] = 0;
