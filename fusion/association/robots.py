@@ -42,13 +42,15 @@ class RobotFit(Struct, frozen=True):
     """How one robot's odometry explains a visit, wherever the camera may be.
 
     `gain`: by how much the score is better than with all sightings wrong; `pictures`: those that
-    may show the robot, one for each row of `finder`; `found`: the visit's modes.
+    may show the robot, one for each row of `finder`; `found`: the visit's modes; `scatter`: of its
+    corners, in the sigmas that they state.
     """
 
     gain: float
     pictures: tuple[int, ...]
     finder: ModeFinder
     found: VisitModes
+    scatter: float
 
     @property
     def mode(self) -> Mode:
@@ -60,12 +62,28 @@ class RobotFit(Struct, frozen=True):
         robot = self.found.visit.robot
         whole = self.finder.completed(self.found.visit, self.mode)
         return {
-            self.pictures[row]: tuple(
-                face
-                for face, reading in zip(visit[self.pictures[row]].of(robot), readings, strict=True)
-                if reading is not None
-            )
+            self.pictures[row]: _shown(visit[self.pictures[row]].of(robot), readings)
             for row, readings in sorted(whole.readings.items())
+        }
+
+    def claims(self, pictures: Sequence[Picture]) -> dict[int, tuple[int, ...]]:
+        """By picture, which faces of others of the visit's pictures would be the robot's as well."""
+        finder, visit = self.finder, self.found.visit
+        others = _observations(finder.data, visit.camera, visit.robot, pictures)
+        known = len(visit.chosen)
+        whole = [finder.observations[row] for row in visit.chosen]
+        whole += [each.scattering(self.scatter) for each in others.values()]
+        mode = replace(
+            self.mode,
+            readings=dict(enumerate(self.mode.readings[row] for row in visit.chosen)),
+            wild=dict(enumerate(self.mode.wild[row] for row in visit.chosen)),
+            poses=dict(enumerate(self.mode.poses[row] for row in visit.chosen)),
+        )
+        wider = replace(visit, indices=tuple(range(len(whole))), chosen=tuple(range(known)))
+        read = ModeFinder(finder.data, whole, finder.events, finder.memory).completed(wider, mode)
+        return {
+            order: _shown(pictures[order].of(visit.robot), read.readings[known + row])
+            for row, order in enumerate(others)
         }
 
     def chosen(self) -> dict[int, Observation]:
@@ -140,7 +158,11 @@ def _fit(
     if not found.modes:
         return None
     gain = found.nothing - found.modes[0].evidence
-    return RobotFit(gain, tuple(seen), finder, found)
+    return RobotFit(gain, tuple(seen), finder, found, scale)
+
+
+def _shown(faces: tuple[int, ...], readings: tuple[Reading | None, ...]) -> tuple[int, ...]:
+    return tuple(face for face, r in zip(faces, readings, strict=True) if r is not None)
 
 
 def _right(

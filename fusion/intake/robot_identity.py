@@ -277,22 +277,24 @@ class RobotIdentification:
     ) -> tuple[list[Observation], list[Picture], list[Picture]]:
         """The observations of each robot that a run shows, the pictures that may show one or
         another, and what is left of them all."""
-        found: list[Observation] = []
-        known, rest, unclear = set[str](), run, list[Picture]()
+        known: dict[str, tuple[RobotFit, list[Picture], bool]] = {}
+        rest = run
         while rest:
             best = self._best(camera, rest)
             if best is None or best[0] in known:
                 break
             robot, every = best
-            known.add(robot)
             right = every[robot].right(rest)
-            own, left = split(camera, robot, right, rest)
             shown = [rest[order].showing(faces) for order, faces in right.items() if faces]
-            if self._is_clear(camera, robot, every, shown, of=rest):
-                found += own
-            else:
-                unclear += shown
-            rest = left
+            is_clear = self._is_clear(camera, robot, every, shown, of=rest)
+            known[robot] = every[robot], shown, is_clear
+            _, rest = split(camera, robot, right, rest)
+        found, unclear = list[Observation](), list[Picture]()
+        for robot, (_, shown, is_clear) in known.items():
+            others = [fit for name, (fit, _, _) in known.items() if name != robot]
+            own, doubtful = split(camera, robot, _alone_in(shown, others), shown)
+            found += own if is_clear else []
+            unclear += doubtful if is_clear else shown
         return found, unclear, rest
 
     def _best(self, camera: str, visit: list[Picture]) -> tuple[str, dict[str, RobotFit]] | None:
@@ -339,6 +341,19 @@ class RobotIdentification:
             self._late_ns[camera] = max(self._late_ns.get(camera, 0), last)
         why = "which it was is not decided in time" if self._budget.is_spent else _NOT_TOLD
         self.problem = f"camera {camera} saw a target that several robots carry, and {why}; {_DO}"
+
+
+def _alone_in(shown: list[Picture], others: list[RobotFit]) -> dict[int, tuple[int, ...]]:
+    """By picture that shows a robot, the faces that none of the others that were there explains."""
+    claimed = [other.claims(shown) for other in others]
+    return {
+        order: tuple(
+            face
+            for face in range(len(picture.faces))
+            if not any(face in claims.get(order, ()) for claims in claimed)
+        )
+        for order, picture in enumerate(shown)
+    }
 
 
 def _leads(robot: str, every: dict[str, RobotFit]) -> bool:

@@ -44,6 +44,7 @@ public:
           jacobian_(2 * corners() + root_.rows(), tangent_.count),
           residual_(jacobian_.rows()) {
         const bool is_known = given[4].array.shape[0] == 1;
+        if (tangent_.count == 0) throw std::invalid_argument("a robot that cannot move");
         if (is_known != (root_.rows() > 0) || (is_known && root_.rows() != tangent_.count))
             throw std::invalid_argument("a prior is a pose and as many rows as directions");
         if (is_known) prior_ = pose_at(given[4].array.as<double>());

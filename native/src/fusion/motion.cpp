@@ -22,7 +22,7 @@ std::int64_t moment(std::int64_t stamp_ns) {
 }
 
 Tangent::Tangent(const std::int64_t* given, Index how_many) : axes(given), count(how_many) {
-    if (count < 1 || count > 6) throw std::out_of_range("a pose has six components");
+    if (count > 6) throw std::out_of_range("a pose has six components");
     for (Index i = 0; i < count; ++i)
         if (axes[i] < 0 || axes[i] > 5) throw std::out_of_range("a pose has six components");
 }

@@ -21,7 +21,7 @@ struct Tangent {
     const std::int64_t* axes;
     Eigen::Index count;
 
-    // Throws std::out_of_range where there is none, or one that a pose has not.
+    // Throws std::out_of_range where these are none.
     Tangent(const std::int64_t* given, Eigen::Index how_many);
     // Of a robot in the plane (x, y, heading), or in space.
     static Tangent of(bool is_planar);
