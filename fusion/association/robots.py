@@ -67,7 +67,7 @@ class RobotFit(Struct, frozen=True):
         }
 
     def claims(self, pictures: Sequence[Picture]) -> dict[int, tuple[int, ...]]:
-        """By picture, which faces of others of the visit's pictures would be the robot's as well."""
+        """By picture, which faces of further pictures of the visit would be the robot's too."""
         finder, visit = self.finder, self.found.visit
         others = _observations(finder.data, visit.camera, visit.robot, pictures)
         known = len(visit.chosen)

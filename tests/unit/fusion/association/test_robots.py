@@ -70,6 +70,22 @@ def test_robots_that_drove_alike_explain_it_alike() -> None:
     assert abs(found["r1"].gain - found["r2"].gain) < window()
 
 
+def test_a_robot_claims_what_its_motion_explains_of_the_visits_other_pictures() -> None:
+    data = beside(standing())
+    pictures = seen_of(data, "r1")
+    _, found = of_first_run(data, pictures[::2])
+    others = pictures[1::2]
+    strange = {
+        robot: replace(view, pixels=view.pixels + 40.0)
+        for robot, view in others[1].faces[0].items()
+    }
+    others[1] = Picture(others[1].stamp_ns, (strange, *others[1].faces[1:]))
+    claims = found["r1"].claims(others)
+    assert claims.pop(1) == tuple(range(1, len(others[1].faces)))
+    assert len(claims) > 3
+    assert all(faces == tuple(range(len(others[k].faces))) for k, faces in claims.items())
+
+
 def test_sightings_of_something_else_are_no_robots() -> None:
     data = beside(standing())
     pictures = seen_of(data, "r1")

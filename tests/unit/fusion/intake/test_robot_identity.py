@@ -1,12 +1,19 @@
 """Two robots that carry one target, in the lab of the study."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
+from benchmarks.compositions.files import truth_of, write_composition
+from benchmarks.compositions.session import composed_session
 from benchmarks.study.measure import GROSS
 from benchmarks.study.session import StudySession, simulated_session, worked_out
 from trigpoint.fusion.intake.robot_identity import RobotIdentification
+from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.pipeline import Pipeline
+from trigpoint.tools.calibrate.work import fed, task_of
 
 
 @pytest.fixture(scope="module")
@@ -62,3 +69,26 @@ def test_few_more_sightings_of_located_cameras_are_no_reason_to_explain_all_anew
         assert identification.untold == count
         assert len(identification.by_place(estimator, is_end=True)) == count * is_told
         assert identification.untold == count * (not is_told)
+
+
+@pytest.mark.long
+def test_a_face_that_two_robots_explain_is_not_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """For two seconds the way of r1, which is out of sight, leads to where a face of r2 is seen."""
+    drawn = composed_session("everything", 82)
+    camera = next(each for each in drawn.cameras if each.name == "c7")
+    alone = replace(drawn, cameras=[camera], pictures={"c7": drawn.pictures["c7"]})
+    task = task_of(write_composition(alone, tmp_path))
+    told: list[Observation] = []
+    ready = RobotIdentification.ready
+
+    def kept(self: RobotIdentification, *, is_end: bool = False) -> list[Observation]:
+        told.extend(ready(self, is_end=is_end))
+        return []
+
+    monkeypatch.setattr(RobotIdentification, "ready", kept)
+    fed(task.messages(), task.inputs, source=task.path).finish()
+    true = {(seen["stamp"], seen.get("robot", "r1")) for seen in truth_of(alone)["sightings"]["c7"]}
+    assert len(told) > 1000
+    assert all((round(o.stamp_ns / 1e9, 6), o.robot) in true for o in told)
