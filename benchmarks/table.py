@@ -73,6 +73,9 @@ BENCHMARKS: dict[str, Benchmark] = {
         "fusion.restart",
         is_long=True,
     ),
+    "month": Benchmark(
+        "what grows with the age of a map that is learnt, day by day?", "fusion.month", is_long=True
+    ),
     "latency": Benchmark(
         "how late is a correction, and where did the time go?", "latency", is_long=True
     ),
