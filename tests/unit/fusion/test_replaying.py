@@ -1,5 +1,8 @@
 """A replay works where there is something to do, with what comes of work at every message."""
 
+from itertools import groupby
+from operator import itemgetter
+
 import numpy as np
 import pytest
 from msgspec.structs import replace
@@ -22,8 +25,9 @@ from trigpoint.fusion.live.solver_messages import (
     TakeObservation,
     TakeOdometry,
 )
+from trigpoint.fusion.model.odometry import Readings
 from trigpoint.fusion.pipeline import Pipeline
-from trigpoint.fusion.replaying import replayed
+from trigpoint.fusion.replaying import Replay, replayed
 from trigpoint.tools.simulation.sight.targets import target_of
 
 
@@ -60,11 +64,11 @@ def flat(orders: list[Order]) -> list[object]:
     found, seen = list[object](), dict[str, list[bytes]]()
     for order in orders:
         if isinstance(order, TakeOdometry):
-            poses = order.odom_from_base
-            assert len(poses) == len(order.stamps_ns)
+            stamps_ns, poses = order.readings.stamps_ns, order.readings.odom_from_base
+            assert len(poses) == len(stamps_ns)
             seen.setdefault(order.robot, []).extend(
-                np.int64(stamp_ns).tobytes() + poses[row].rows().tobytes()
-                for row, stamp_ns in enumerate(order.stamps_ns)
+                stamp_ns.tobytes() + poses[row].rows().tobytes()
+                for row, stamp_ns in enumerate(stamps_ns)
             )
         elif isinstance(order, TakeObservation):
             observation = order.observation
@@ -105,10 +109,28 @@ def test_solver_is_told_the_same(two: Session) -> None:
     assert sum(isinstance(order, TakeObservation) for order in orders) > 40
 
 
+def test_odometry_by_runs_tells_the_solver_the_same(two: Session) -> None:
+    """As a checkpoint gives it: what came of one robot without anything else in between."""
+    solver = Listed()
+    pipeline = Pipeline(two.inputs, is_live=False, solver=solver)
+    replay, messages = Replay(pipeline), sorted(shuffled(two), key=lambda item: item[0] == "r2")
+    for node, run in groupby(messages, itemgetter(0)):
+        for is_odometry, some in groupby(run, lambda item: isinstance(item[1], Odometry)):
+            came = [message for _, message in some]
+            if is_odometry:
+                replay.take(node, Readings.joined([Readings.of(m.stamp_ns, m.pose) for m in came]))
+            for message in () if is_odometry else came:
+                replay.take(node, message)
+    pipeline.resumed()
+    orders, left_out = told(two, messages, always=True)
+    assert flat(solver.orders) == flat(orders)
+    assert pipeline.left_out == left_out
+
+
 def test_odometry_is_told_in_fewer_orders_than_there_are_messages(two: Session) -> None:
     messages = list(two.messages)
     orders, _ = told(two, messages, always=False)
     count = sum(isinstance(message, Odometry) for _, message in messages)
     runs = [order for order in orders if isinstance(order, TakeOdometry)]
-    assert sum(len(order.stamps_ns) for order in runs) == count
+    assert sum(len(order.readings) for order in runs) == count
     assert len(runs) < count / 2
