@@ -116,6 +116,7 @@ class FusionNode:
         ):
             self._bus.serve(command_key(name, path), answer)
         self._node.work("estimates", self._run, within_s=_TURN_MOST_S)
+        self._node.work("keeps", lambda pulse: self._solution.run(pulse, self._node.stopping))
         if not self._maker.makes_solvers:  # a solver also makes the suggestions
             guide = GuidanceThread(self._bus, self._node, name, self._guidance_world)
             self._node.work("guides", guide.run, within_s=_GUIDE_S)
@@ -141,6 +142,7 @@ class FusionNode:
                 turn_s = self._longest_s if self._maker.solver is None else None
                 save_last(self._pipeline, self._out, self._clock, turn_s=turn_s)
                 self._solution.keep(self._pipeline)
+                self._solution.write()
             else:
                 _log.info("stopped before %s was read; all of it is still there", self._path)
             if self._storage is not None and self._storage.trouble:

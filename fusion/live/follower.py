@@ -69,7 +69,7 @@ class _Coming(Struct):
 class Follower:
     """A `Live` estimator whose `Reports` come with a solver's news. Not thread-safe. `forget`:
     called where the odometry's past was dropped, for others to drop what refers to it. `solution`:
-    the solver's last one, None before it."""
+    the solver's last one, None before it; another thread may read it."""
 
     def __init__(self, data: DataSet, solver: Solver, forget: Callable[[], None]) -> None:
         self.data, self._solver, self._forget = data, solver, forget
@@ -151,7 +151,8 @@ class Follower:
         self._recent = [r for r in self._recent if r.number is None or r.number > solved.count]
         while len(self._unsolved_ns) > self._told - solved.count:
             self._until_ns = max(self._until_ns, self._unsolved_ns.popleft())
-        self.solution = Solution(replace(solved, past=None), self._until_ns)
+        kept = replace(solved, known=solved.known.copy(), past=None)
+        self.solution = Solution(kept, self._until_ns)
         missing = sorted((r.observation for r in self._recent), key=lambda o: o.stamp_ns)
         self._coming = _Coming(self._concluded(solved), deque(missing))
 
