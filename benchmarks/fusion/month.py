@@ -120,7 +120,7 @@ class _Drive:
     def __init__(self, folder: Path) -> None:
         corridor = Corridor(_CAMERAS, 0.0)
         inputs = corridor.inputs
-        self._truth = {f"c{i}": corridor._camera(i).translation for i in range(_CAMERAS)}
+        self._truth = {f"c{i}": corridor.camera(i).translation for i in range(_CAMERAS)}
         self._solutions = 0
         self._solver = SolverProcess(inputs.data_set(), took=self._count)
         self._folder = folder

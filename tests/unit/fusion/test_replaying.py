@@ -115,11 +115,10 @@ def test_odometry_by_runs_tells_the_solver_the_same(two: Session) -> None:
     pipeline = Pipeline(two.inputs, is_live=False, solver=solver)
     replay, messages = Replay(pipeline), sorted(shuffled(two), key=lambda item: item[0] == "r2")
     for node, run in groupby(messages, itemgetter(0)):
-        for is_odometry, some in groupby(run, lambda item: isinstance(item[1], Odometry)):
-            came = [message for _, message in some]
-            if is_odometry:
-                replay.take(node, Readings.joined([Readings.of(m.stamp_ns, m.pose) for m in came]))
-            for message in () if is_odometry else came:
+        for kind, some in groupby((message for _, message in run), type):
+            came = list(some)
+            readings = [Readings.of(m.stamp_ns, m.pose) for m in came if isinstance(m, Odometry)]
+            for message in [Readings.joined(readings)] if kind is Odometry else came:
                 replay.take(node, message)
     pipeline.resumed()
     orders, left_out = told(two, messages, always=True)
