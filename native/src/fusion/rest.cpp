@@ -17,7 +17,8 @@ using namespace trigpoint;
 namespace {
 
 constexpr double SECONDS = 1e-9;
-constexpr std::int64_t RECENT_NS = 2'000'000'000;  // RECENT_S of `rest.py`
+constexpr std::int64_t BEYOND_NS = std::int64_t(1) << 62;  // no stamp is as far from 0
+constexpr std::int64_t RECENT_NS = 2'000'000'000;          // RECENT_S of `rest.py`
 constexpr std::size_t LEAST_READINGS = 16;
 // Of √n steps; a random walk comes further within n steps once in a thousand.
 constexpr double SCATTERS = 3;
@@ -28,7 +29,8 @@ constexpr double MOST_PLACE = 0.01, MOST_TURN = 1 * DEGREE;
 // after a start), rad/s. No robot turns as slowly.
 constexpr double BIAS = 0.1 * DEGREE;
 // Over a longer silence than this, and than so many of the intervals before, nothing is noise.
-constexpr std::int64_t GAP_NS = 1'000'000'000, GAP_INTERVALS = 3;  // LONGEST_GAP_S of a track
+constexpr std::int64_t GAP_NS = 1'000'000'000;  // LONGEST_GAP_S of a track
+constexpr double GAP_INTERVALS = 3;
 // No robot of this kind exceeds these: a larger step means that its counters restarted or that it
 // was carried, and says nothing about where it is. m/s, rad/s.
 constexpr double MAXIMUM_SPEED = 5, MAXIMUM_TURN_RATE = 20;
@@ -152,10 +154,13 @@ public:
 private:
     // The reading, after those of the same rest or drive that are recent.
     Reading read(std::int64_t stamp_ns, const Pose& pose) {
+        if (stamp_ns <= -BEYOND_NS || stamp_ns >= BEYOND_NS)
+            throw std::invalid_argument("a stamp that is none");
         if (recent_.empty()) return {stamp_ns, pose, {}};
         const Reading last = recent_.back();
         const std::int64_t interval_ns = stamp_ns - last.stamp_ns;
-        if (interval_ns > std::max(GAP_NS, GAP_INTERVALS * interval_ns_)) {
+        if (interval_ns > GAP_NS &&
+            static_cast<double>(interval_ns) > GAP_INTERVALS * static_cast<double>(interval_ns_)) {
             if (anchor_) {
                 recent_ = {last};
                 leave();
@@ -258,8 +263,8 @@ public:
     static constexpr std::int64_t STALE = -1, TAKEN = 0;
 
     // (how many messages of a standstill are kept, messages so far with the last interval and the
-    // messages of the standstill (3,), stamps, rotations, translations, twists, jumps, gaps
-    // (n, …)).
+    // messages of the standstill (3,), which go on, stamps, rotations, translations, twists, jumps,
+    // gaps (n, …)).
     GrowingTrack(Rest& rest, bool is_planar, const Argument* given)
         : rest_(rest),
           is_planar_(is_planar),
@@ -274,7 +279,9 @@ public:
           twists_(given[5].array.as<double>()),
           jumps_(given[6].array.as<bool>()),
           gaps_(given[7].array.as<double>()) {
-        if (count_ < 0 || count_ > room_) throw std::out_of_range("more messages than rows");
+        if (count_ < 0 || count_ > room_ || standing_ > BEYOND_NS ||
+            (count_ > 0 && stamps_[count_ - 1] <= -BEYOND_NS))
+            throw std::invalid_argument("a track that is none");
     }
 
     // Takes a message: its row where the motion before it is unknown, else TAKEN, or STALE.
@@ -306,12 +313,6 @@ public:
         return is_jump ? row : TAKEN;
     }
 
-    // Writes what it began with, as it is now.
-    void put(const Argument& state) const {
-        auto* values = state.array.as<std::int64_t>();
-        values[0] = count_, values[1] = period_ns_, values[2] = standing_;
-    }
-
 private:
     // Whether the motion in a step is unknown; notes what may have been driven unseen in it.
     bool jumps(std::int64_t row, const Step& step, double seconds) {
@@ -337,7 +338,7 @@ private:
 
     Rest& rest_;
     bool is_planar_;
-    std::int64_t most_standing_, room_, count_, period_ns_, standing_;
+    std::int64_t most_standing_, room_, &count_, &period_ns_, &standing_;
     std::int64_t* stamps_;
     double *rotations_, *translations_, *twists_;
     bool* jumps_;
@@ -375,7 +376,6 @@ TRIGPOINT_KERNEL(tp_odometry_added) {
         put_pose(said, given[3].array.as<double>(), given[4].array.as<double>(), 0);
         ++taken;
     }
-    track.put(arguments[3]);
     return taken;
 }
 
