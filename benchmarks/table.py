@@ -73,6 +73,14 @@ BENCHMARKS: dict[str, Benchmark] = {
         "fusion.restart",
         is_long=True,
     ),
+    "month": Benchmark(
+        "what grows with the age of a map that is learnt, day by day?", "fusion.month", is_long=True
+    ),
+    "bounded": Benchmark(
+        "how near is a map whose past is summarised to all of it solved at once, and how honest?",
+        "fusion.bounded_past",
+        is_long=True,
+    ),
     "latency": Benchmark(
         "how late is a correction, and where did the time go?", "latency", is_long=True
     ),

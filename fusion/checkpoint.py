@@ -1,11 +1,11 @@
 """The checkpoint: all input, written as it comes, so that a killed fusion can resume.
 
-A file of records: length and CRC-32 (little-endian uint32 each), then a msgpack array of key and
-payload, which is compressed by itself (zlib), so that damage costs one record. Reading it again
-through the pipeline gives the same map under the same UUID. Damaged or truncated records are
-skipped up to the next sound one. The file is only ever appended to: another kind of file is kept
-under another name, and so is a map that is given up. `map_storage` goes on in another file once
-this one is long, and removes those of a past that is summarised.
+A file of records: length and CRC-32 (little-endian uint32 each), then what came within half a
+second, compressed (zlib): a msgpack array of messages, each an array of key and payload. Damage
+costs one record; damaged or truncated ones are skipped up to the next sound one. Reading it again
+through the pipeline gives the same map under the same UUID. The file is only ever appended to:
+another kind of file is kept under another name, and so is a map that is given up. `map_storage`
+goes on in another file once this one is long, and removes those of a past that is summarised.
 """
 
 import logging
@@ -34,15 +34,17 @@ _HEAD = struct.Struct("<II")
 _FLUSH_NS = to_ns(0.5)
 _MOST_RECORD = 16 * 1024 * 1024
 _MOST_WAITING = 64 * 1024
-# A record's body begins with these: a msgpack array of two, then a text of up to 255 bytes.
-_ARRAY_OF_TWO = b"\x92"
-_TEXTS = frozenset((*range(0xA0, 0xC0), 0xD9))
-# zlib's output begins with this, and no CDR message does: earlier files have them uncompressed.
+# zlib's output begins with this, and no CDR message does.
 _COMPRESSED = b"\x78"
+# A record's body begins so: compressed, or in earlier files one message, a msgpack array of two
+# that begins with a text of up to 255 bytes.
+_BODY = re.compile(rb"\x78|\x92[\xa0-\xbf\xd9]")
 
 _log = logging.getLogger(__name__)
 
-_DECODER = msgspec.msgpack.Decoder(tuple[str, bytes])
+_Messages = list[tuple[str, bytes]]
+_MESSAGE = msgspec.msgpack.Decoder(tuple[str, bytes])
+_MESSAGES = msgspec.msgpack.Decoder(_Messages)
 
 
 class Checkpoint:
@@ -73,7 +75,8 @@ class Checkpoint:
         self._length = self._file.tell()
         self.written_ns = os.fstat(self._file.fileno()).st_mtime_ns if self._length else 0
         self._waiting = bytearray() if self._length else bytearray(_MAGIC)
-        self._count = 0
+        self._messages = _Messages()
+        self._bytes = 0  # of them
 
     def records(self) -> Iterator[tuple[str, bytes]]:
         """(key, payload) of what was in the file when it was opened; it may be written meanwhile,
@@ -83,10 +86,9 @@ class Checkpoint:
     def write(self, key: str, payload: bytes) -> bool:
         """Append a message; it is on the disk within half a second and a call of `flush`. False
         where the disk takes nothing now."""
-        body = msgspec.msgpack.encode((key, zlib.compress(payload, zlib.Z_BEST_SPEED)))
-        self._waiting += _HEAD.pack(len(body), zlib.crc32(body)) + body
-        self._count += 1
-        if len(self._waiting) > _MOST_WAITING:
+        self._messages.append((key, payload))
+        self._bytes += len(payload)
+        if self._bytes > _MOST_WAITING:
             self._try(self._synchronise)
         return not self.trouble
 
@@ -120,9 +122,12 @@ class Checkpoint:
             self._file.close()
 
     def _synchronise(self) -> None:
-        waiting, count = self._waiting, self._count
+        waiting, count = self._waiting, len(self._messages)
+        if count:
+            body = zlib.compress(msgspec.msgpack.encode(self._messages), zlib.Z_BEST_SPEED)
+            waiting += _HEAD.pack(len(body), zlib.crc32(body)) + body
         # Half of it may be written where the disk is full; that is passed over when it is read.
-        self._waiting, self._count = bytearray(), 0
+        self._waiting, self._messages, self._bytes = bytearray(), _Messages(), 0
         try:
             if self._file.closed:  # the disk did not take another file
                 self._file = self._path.open("ab", buffering=0)
@@ -167,10 +172,10 @@ def next_full_file(folder: Path) -> Path:
 
 
 def read_checkpoint(path: Path, until: int | None = None) -> Iterator[tuple[str, bytes]]:
-    """(key, payload) of every sound record in a file's first `until` bytes; nothing where there is
-    no file."""
+    """(key, payload) of every message of a sound record in a file's first `until` bytes; nothing
+    where there is no file."""
     for record in _records(path, until):
-        yield record.key, record.payload
+        yield from record.messages
 
 
 def set_aside(path: Path) -> Path:
@@ -193,8 +198,7 @@ def _is_ours(path: Path) -> bool:
 class _Record(NamedTuple):
     start: int
     end: int
-    key: str
-    payload: bytes
+    messages: _Messages
 
 
 def _records(path: Path, until: int | None = None) -> Iterator[_Record]:
@@ -249,21 +253,23 @@ def _record_at(data: mmap.mmap, start: int) -> _Record | None:
     if zlib.crc32(body) != checksum:
         return None
     try:
-        key, payload = _DECODER.decode(body)
-        if payload.startswith(_COMPRESSED):
-            payload = zlib.decompress(payload)
+        return _Record(start, end, _messages_of(body))
     except (msgspec.DecodeError, zlib.error):
         return None
-    return _Record(start, end, key, payload)
+
+
+def _messages_of(body: bytes) -> _Messages:
+    """The messages of a record; raise DecodeError or zlib.error where there are none."""
+    if body.startswith(_COMPRESSED):
+        return _MESSAGES.decode(zlib.decompress(body))
+    key, payload = _MESSAGE.decode(body)  # of an earlier file
+    return [(key, zlib.decompress(payload) if payload.startswith(_COMPRESSED) else payload)]
 
 
 def _next_record(data: mmap.mmap, start: int) -> _Record | None:
     """The first sound record after a damaged place."""
-    at = start + _HEAD.size
-    while (at := data.find(_ARRAY_OF_TWO, at)) >= 0:
-        if data[at + 1 : at + 2] and data[at + 1] in _TEXTS:
-            record = _record_at(data, at - _HEAD.size)
-            if record is not None:
-                return record
-        at += 1
+    for found in _BODY.finditer(data, start + _HEAD.size + 1):
+        record = _record_at(data, found.start() - _HEAD.size)
+        if record is not None:
+            return record
     return None

@@ -8,11 +8,15 @@ a past that the map summarises (`past.bin`), the file is removed.
 import logging
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from itertools import groupby, islice
+from operator import itemgetter
 from pathlib import Path
+
+import numpy as np
 
 from trigpoint.base.clock import Clock, to_ns
 from trigpoint.base.errors import MessageError, OperationError
-from trigpoint.contract import cdr, topics
+from trigpoint.contract import cdr, cdr_layout, topics
 from trigpoint.contract.messages import CameraInfo, Diagnostics, Message, Odometry, Sightings
 from trigpoint.site.config import Site
 
@@ -26,13 +30,30 @@ from .checkpoint import (
     set_aside,
 )
 from .intake.admission import AHEAD_NS
+from .model.odometry import Readings
 from .model.past import ODOMETRY_BEFORE_NS, Past
 from .past_file import save_past
 from .standing_odometry import StandingOdometry
 
+Stored = CameraInfo | Diagnostics | Odometry | Readings | Sightings
+"""What a map is made of, as it is read again."""
 _RETRY_NS = to_ns(30.0)
 
 _log = logging.getLogger(__name__)
+
+
+class _OdometryOfKey:
+    """Odometry of one key that is read at once and used in parts. `is_needed`: (n,) which."""
+
+    def __init__(self, readings: Readings, is_needed: np.ndarray) -> None:
+        self._readings, self._is_needed, self._taken = readings, is_needed, 0
+
+    def next(self, count: int) -> Readings:
+        """What is needed of so many messages."""
+        rows = slice(self._taken, self._taken + count)
+        self._taken += count
+        is_needed = self._is_needed[rows]
+        return self._readings[rows] if is_needed.all() else self._readings[rows][is_needed]
 
 
 class MapStorage:
@@ -59,7 +80,6 @@ class MapStorage:
         self._full = full_files(folder)
         # By file, the newest stamp of odometry or sightings in it, once it is known.
         self._newest_ns: dict[Path, int] = {}
-        self._reading = self._path
         self._written_ns = max(
             self._checkpoint.written_ns, *(path.stat().st_mtime_ns for path in self._full), 0
         )
@@ -75,52 +95,86 @@ class MapStorage:
         """Why what comes now is not stored; "" while all is well."""
         return self._checkpoint.trouble
 
-    def records(self) -> Iterator[tuple[str, bytes]]:
-        """(key, payload) of what was stored before this process began."""
-        for path in self._full:
-            self._reading = path
-            yield from read_checkpoint(path)
-        self._reading = self._path
-        yield from self._checkpoint.records()
+    def read(self, most: int) -> Iterator[list[tuple[str, Stored]]]:
+        """(key, what is to be used) of what was stored before this process began, in order, of so
+        many messages at once. Raises OperationError where the checkpoint is another site's."""
+        for path in [*self._full, self._path]:
+            is_last = path == self._path
+            messages = self._checkpoint.records() if is_last else read_checkpoint(path)
+            while some := list(islice(messages, most)):
+                self._count += len(some) if is_last else 0
+                yield list(self._used(path, some))
 
-    def message(self, key: str, payload: bytes) -> Message | None:
-        """The message of a record, of which all are asked for in order; None where it is not to be
-        used. Raises OperationError where the checkpoint is another site's."""
+    def _used(self, path: Path, some: list[tuple[str, bytes]]) -> Iterator[tuple[str, Stored]]:
+        """What is to be used of messages, in order; odometry of one robot as it came in a row."""
+        odometry = {key: self._odometry_of(path, key, some) for key in {key for key, _ in some}}
+        for key, run in groupby(some, itemgetter(0)):
+            payloads = [payload for _, payload in run]
+            found = odometry[key]
+            if found is not None:
+                readings = found.next(len(payloads))
+                yield from [(key, readings)] if len(readings) else []
+            elif self._is_of_site(path, key):
+                yield from ((key, m) for p in payloads if (m := self._message(path, key, p)))
+
+    def _is_of_site(self, path: Path, key: str) -> bool:
+        """Whether the site file still has what a key is of. Raises OperationError where it is
+        another site's."""
         topic = topics.topic_of(key)
         if topic is None or not key.startswith(f"{self._site.name}/"):
             raise OperationError(
-                f"{self._path}: a checkpoint of another site ({key}); give another --out"
+                f"{path}: a checkpoint of another site ({key}); give another --out"
             )
-        if topic is not topics.DIAGNOSTICS and not self._knows(key):
+        return topic is topics.DIAGNOSTICS or self._knows(key)
+
+    def _odometry_of(
+        self, path: Path, key: str, some: list[tuple[str, bytes]]
+    ) -> "_OdometryOfKey | None":
+        """The odometry of a key, where it is that and all of it is sound."""
+        if topics.topic_of(key) is not topics.ODOMETRY or not self._is_of_site(path, key):
             return None
+        read = cdr_layout.odometry_run([payload for other, payload in some if other == key])
+        if read is None or read[0].max() > self._latest_ns:
+            return None
+        readings = Readings(*read)
+        self._note(path, int(readings.stamps_ns.max()))
+        since_ns = self._needed_since_ns(key, Odometry)
+        return _OdometryOfKey(readings, readings.stamps_ns >= since_ns)
+
+    def _message(self, path: Path, key: str, payload: bytes) -> Stored | None:
+        """The message of a record; None where it is not to be used."""
+        topic = topics.topic_of(key)
+        assert topic is not None  # it was asked
         try:
             message = cdr.decode(topic.type_name, payload)
         except MessageError as reason:
-            _log.error("%s: a message on %s is left out: %s", self._path, key, reason)
+            _log.error("%s: a message on %s is left out: %s", path, key, reason)
             return None
         assert isinstance(message, CameraInfo | Diagnostics | Odometry | Sightings)
-        # All of the file came before it was written last.
-        if message.stamp_ns > self._written_ns + AHEAD_NS:
-            _log.error(
-                "%s: a message on %s is stamped ahead of its time; left out", self._path, key
-            )
+        if message.stamp_ns > self._latest_ns:
+            _log.error("%s: a message on %s is stamped ahead of its time; left out", path, key)
             return None
-        self._note(self._reading, message)
-        self._count += self._reading is self._path
-        return message if self._is_needed(key, message) else None
-
-    def _is_needed(self, key: str, message: Message) -> bool:
-        """Whether a message is more than a part of the map's past."""
-        if self._past is None:
-            return True
-        if isinstance(message, Odometry):
-            return self._past.needs_odometry(topics.node_of(key), message.stamp_ns)
-        return not isinstance(message, Sightings) or message.stamp_ns >= self._past.begin_ns
-
-    def _note(self, path: Path, message: Message) -> None:
-        """Note what is in a file."""
         if isinstance(message, Odometry | Sightings):
-            self._newest_ns[path] = max(self._newest_ns.get(path, 0), message.stamp_ns)
+            self._note(path, message.stamp_ns)
+        is_needed = message.stamp_ns >= self._needed_since_ns(key, type(message))
+        return message if is_needed else None
+
+    @property
+    def _latest_ns(self) -> int:
+        """No message is stamped later: all of the file came before it was written last."""
+        return self._written_ns + AHEAD_NS
+
+    def _needed_since_ns(self, key: str, kind: type[Message]) -> float:
+        """The stamp from which on a message is more than a part of the map's past."""
+        if self._past is None or kind not in (Odometry, Sightings):
+            return -np.inf
+        if kind is Sightings:
+            return self._past.begin_ns
+        return self._past.odometry_since_ns(topics.node_of(key))
+
+    def _note(self, path: Path, stamp_ns: int) -> None:
+        """Note the stamp of odometry or sightings in a file."""
+        self._newest_ns[path] = max(self._newest_ns.get(path, 0), stamp_ns)
 
     def store(self, key: str, payload: bytes, message: Message) -> int:
         """Store a message, but of a standing robot's odometry only what is needed; returns how many
@@ -131,7 +185,8 @@ class MapStorage:
         if isinstance(message, Sightings):
             for odometry in self._odometry.values():
                 odometry.want(message.stamp_ns)
-        self._note(self._path, message)
+        if isinstance(message, Odometry | Sightings):
+            self._note(self._path, message.stamp_ns)
         self._count += len(payloads)
         lost = sum(not self._checkpoint.write(key, item) for item in payloads)
         if self._count >= self._most:

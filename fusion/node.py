@@ -4,7 +4,6 @@ import json
 import logging
 import threading
 from collections.abc import Callable, Iterator
-from itertools import islice
 from pathlib import Path
 
 from trigpoint.base.clock import Clock, to_ns, to_seconds
@@ -34,8 +33,9 @@ from .last_solution import WRITING_S, save_last
 from .live.coverage_thread import CoverageThread
 from .live.guidance_thread import GuidanceThread
 from .live.solver_messages import Solver
-from .map_storage import MapStorage
+from .map_storage import MapStorage, Stored
 from .model.inputs import Inputs
+from .model.odometry import Readings
 from .output import Output
 from .pipeline_maker import PipelineMaker
 from .publishing import Publishing
@@ -52,8 +52,8 @@ _TURN_S = 0.02
 # stop are answered whatever comes.
 _MOST_USED = 16
 _LAST_TAKING_NS = to_ns(0.25)
-# While a checkpoint is read, what comes is taken in, and commands may come, every so many records.
-_RECORDS_AT_ONCE = 256
+# While a checkpoint is read, what comes is taken in, and commands may come, every so many messages.
+_READ_AT_ONCE = 1024
 # A turn of a filter that has fallen behind on a small machine; beyond it the thread is hung.
 _TURN_MOST_S = 60.0
 # One robot's suggestions among a hundred cameras, on a small machine.
@@ -116,6 +116,7 @@ class FusionNode:
         ):
             self._bus.serve(command_key(name, path), answer)
         self._node.work("estimates", self._run, within_s=_TURN_MOST_S)
+        self._node.work("keeps", lambda pulse: self._solution.run(pulse, self._node.stopping))
         if not self._maker.makes_solvers:  # a solver also makes the suggestions
             guide = GuidanceThread(self._bus, self._node, name, self._guidance_world)
             self._node.work("guides", guide.run, within_s=_GUIDE_S)
@@ -141,6 +142,7 @@ class FusionNode:
                 turn_s = self._longest_s if self._maker.solver is None else None
                 save_last(self._pipeline, self._out, self._clock, turn_s=turn_s)
                 self._solution.keep(self._pipeline)
+                self._solution.write()
             else:
                 _log.info("stopped before %s was read; all of it is still there", self._path)
             if self._storage is not None and self._storage.trouble:
@@ -311,9 +313,9 @@ class FusionNode:
             knows, past = self._admission.knows, self._pipeline.past
             self._storage = MapStorage(self._out, self._site, self._clock, knows=knows, past=past)
         pipeline, count = self._pipeline, 0
-        replay, found = Replay(pipeline), self._storage.records()
+        replay, stored = Replay(pipeline), self._storage.read(_READ_AT_ONCE)
         aside: list[tuple[Sample, Message]] = []
-        while records := list(islice(found, _RECORDS_AT_ONCE)):
+        for some in stored:
             pulse.beat()
             if self._node.stopping.is_set():
                 for sample, message in aside:
@@ -324,7 +326,7 @@ class FusionNode:
             with self._lock:
                 if self._pipeline is not pipeline:
                     return True  # reset
-                count += sum(self._take_again(replay, *record) for record in records)
+                count += sum(self._take_again(replay, *each) for each in some)
                 aside += self._arrived()
         with self._lock:
             if self._pipeline is pipeline:
@@ -333,15 +335,12 @@ class FusionNode:
                     self._push(sample, message)
         return True
 
-    def _take_again(self, replay: Replay, key: str, payload: bytes) -> bool:
-        """Take a record of the checkpoint; whether it is used."""
-        message = self._open_storage.message(key, payload)
-        if message is None:
-            return False
-        replay.take(topics.node_of(key), message)
-        if isinstance(message, CameraInfo):
-            self._announced[key] = payload
-        return True
+    def _take_again(self, replay: Replay, key: str, stored: Stored) -> int:
+        """Take what the checkpoint has; how many messages."""
+        replay.take(topics.node_of(key), stored)
+        if isinstance(stored, CameraInfo):
+            self._announced[key] = cdr.encode(stored)
+        return len(stored) if isinstance(stored, Readings) else 1
 
     def _go_on(self, count: int) -> None:
         """Go on live after so many messages of a checkpoint."""

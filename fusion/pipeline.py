@@ -30,7 +30,7 @@ from .live.solver_messages import Solution, Solver
 from .model.dataset import Conclusions, Event
 from .model.inputs import Inputs
 from .model.observations import Observation
-from .model.odometry import Added
+from .model.odometry import Added, Readings
 from .model.past import Past
 from .output import Output, output_of
 from .robot_announcements import RobotAnnouncements
@@ -166,7 +166,7 @@ class Pipeline:
         """
         self.arrivals.add(node, message)
         if isinstance(message, Odometry) and node in self.site.robots:
-            return self._push_odometry(node, message)
+            return self.push_readings(node, Readings.of(message.stamp_ns, message.pose))
         if isinstance(message, Sightings) and node in self.site.cameras:
             return self._push_sightings(node, message)
         if isinstance(message, CameraInfo) and node in self.site.cameras:
@@ -178,15 +178,15 @@ class Pipeline:
         )
         return False
 
-    def _push_odometry(self, robot: str, message: Odometry) -> bool:
-        added = self._estimator.add_odometry(robot, message.stamp_ns, message.pose)
-        if added is Added.STALE:
-            self._left_out.add("stale_odometry")
-            self._stale_ns[robot] = self._data.tracks[robot].last_ns - message.stamp_ns
+    def push_readings(self, robot: str, readings: Readings) -> bool:
+        """Take odometry of a robot of the site file; whether its last may add to the map."""
+        added = self._estimator.add_odometry(robot, readings)
+        self._left_out.add("stale_odometry", count=added.count(Added.STALE))
+        self._left_out.add("odometry_jumps", count=added.count(Added.JUMP))
+        if added[-1] == Added.STALE:
+            self._stale_ns[robot] = self._data.tracks[robot].last_ns - readings.last_ns
             return False
         self._stale_ns.pop(robot, None)
-        if added is Added.JUMP:
-            self._left_out.add("odometry_jumps")
         if self._is_live and (estimate := self._estimator.robot(robot)) is not None:
             odom_from_base = self._data.tracks[robot].reported
             self._outputs += self._robots.place(

@@ -4,6 +4,7 @@ from collections.abc import Iterable
 
 from trigpoint.contract.messages import Message, Odometry
 
+from .model.odometry import Readings
 from .pipeline import Pipeline
 
 
@@ -16,12 +17,33 @@ class Replay:
         self._pipeline = pipeline
         self._has_more = False  # than odometry, since the pipeline was last at work
 
-    def take(self, node: str, message: Message) -> None:
-        """Take the next message of a camera or robot."""
+    def take(self, node: str, message: Message | Readings) -> None:
+        """Take the next message of a camera or robot, or some of a robot's odometry."""
+        if isinstance(message, Readings):
+            self._take_readings(node, message)
+            return
         self._pipeline.push(node, message)
-        if not isinstance(message, Odometry):
+        if isinstance(message, Odometry):
+            self._work(node)
+        else:
             self._has_more = True
-        elif self._has_more or self._pipeline.waits_for(node):
+
+    def _take_readings(self, robot: str, readings: Readings) -> None:
+        """One after the other while there is anything to do, and then all at once."""
+        row = 0
+        while row < len(readings) and self._has_work(robot):
+            self._pipeline.push_readings(robot, readings[row : row + 1])
+            self._work(robot)
+            row += 1
+        if row < len(readings):
+            self._pipeline.push_readings(robot, readings[row:])
+
+    def _has_work(self, robot: str) -> bool:
+        """Whether a reading of a robot's odometry has anything to do."""
+        return self._has_more or self._pipeline.waits_for(robot)
+
+    def _work(self, robot: str) -> None:
+        if self._has_work(robot):
             self._pipeline.advance()
             self._has_more = False
 

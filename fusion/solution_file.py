@@ -7,6 +7,7 @@ solved again, and where it does not fit what is there, corrections begin then.
 import hashlib
 import logging
 from pathlib import Path
+from threading import Event, Lock
 from typing import Any
 from uuid import UUID
 
@@ -15,6 +16,7 @@ import numpy as np
 
 from trigpoint import __version__
 from trigpoint.geometry.rotation import Array
+from trigpoint.node.watchdog import Pulse
 
 from .checked_file import checked_body, save_checked
 from .live.solver_messages import Solution, Solved
@@ -28,7 +30,9 @@ from .solver.gaussian import Gaussian
 
 SOLUTION = "solution.bin"
 """Its name in the folder of a map."""
-_MAGIC = b"trigpoint-solution/1\n"  # another number with each change of what is in it
+_MAGIC = b"trigpoint-solution/2\n"  # another number with each change of what is in it
+_LENGTH = 8  # bytes of the document's, which is followed by the covariance
+_LOOK_S = 1.0
 
 _log = logging.getLogger(__name__)
 
@@ -44,30 +48,54 @@ class _Document(msgspec.Struct):
     stamps_ns: dict[str, int]
     layout: Layout
     mean: Array
-    covariance: Array
     shares: list[tuple[str, str, int, float]]
     conclusions: Conclusions
     located: tuple[str, ...]
 
 
 class SolutionFile:
-    """The last solution of the maps in a folder, one after the other. Not thread-safe."""
+    """The last solution of the maps in a folder, one after the other: it is kept by one thread, and
+    written by another, since that of a hundred cameras has 18 MB."""
 
     def __init__(self, folder: Path, inputs: Inputs) -> None:
         self._path, self._inputs = folder / SOLUTION, _digest(inputs)
         self._creep = Creep.of_all(inputs.site.cameras)
         self._kept: Solution | None = None
+        self._lock, self._is_new = Lock(), Event()
+        self._unwritten: tuple[Solution, UUID | None] | None = None
 
     def keep(self, pipeline: Pipeline) -> None:
-        """Replace the file where the last solution is a new one."""
+        """Have the last solution written where it is a new one."""
         solution = pipeline.reports.solution
-        if solution is None or solution is self._kept:
-            return
-        self._kept = solution
-        document = self._document(solution, pipeline.map_id)
-        body = msgspec.msgpack.encode(document, enc_hook=_plain)
+        if solution is not None and solution is not self._kept:
+            self._kept = solution
+            self._unwritten = solution, pipeline.map_id
+            self._is_new.set()
+
+    def run(self, pulse: Pulse, stopping: Event) -> None:
+        """Write what is kept until a stop, on a thread of its own, and beat the pulse."""
+        while not stopping.is_set():
+            pulse.beat()
+            if self._is_new.wait(_LOOK_S):
+                self.write()
+        self.write()
+
+    def write(self) -> None:
+        """Replace the file by what was kept last, where that is not done."""
+        with self._lock:
+            self._is_new.clear()
+            unwritten, self._unwritten = self._unwritten, None
+            if unwritten is not None:
+                self._write(*unwritten)
+
+    def _write(self, solution: Solution, map_id: UUID | None) -> None:
+        document = self._document(solution, map_id)
+        packed = msgspec.msgpack.encode(document, enc_hook=_plain)
+        covariance = np.ascontiguousarray(solution.solved.known.known.covariance).data.cast("B")
+        # The covariance is not copied, and written without the interpreter's lock.
+        body = len(packed).to_bytes(_LENGTH, "little"), packed, covariance
         try:
-            save_checked(self._path, _MAGIC, body, is_synced=False)
+            save_checked(self._path, _MAGIC, *body, is_synced=False)
         except OSError as reason:
             _log.warning(
                 "%s: not written (%s); started again, fusion makes corrections once all is solved",
@@ -77,10 +105,12 @@ class SolutionFile:
 
     def forget(self) -> None:
         """Remove the file: the map goes on otherwise than from it."""
-        try:
-            self._path.unlink(missing_ok=True)
-        except OSError as reason:
-            _log.warning("%s: not removed (%s)", self._path, reason.strerror)
+        with self._lock:
+            self._unwritten = None
+            try:
+                self._path.unlink(missing_ok=True)
+            except OSError as reason:
+                _log.warning("%s: not removed (%s)", self._path, reason.strerror)
 
     def load(self, map_id: UUID | None, now_ns: int) -> Solution | None:
         """The last solution of this map, with its cameras as uncertain as they may have crept until
@@ -90,7 +120,11 @@ class SolutionFile:
             body = checked_body(self._path.read_bytes(), _MAGIC)
             if body is None:
                 raise ValueError("it is damaged, or another version's")
-            document = msgspec.msgpack.decode(body, type=_Document, dec_hook=_array)
+            end = _LENGTH + int.from_bytes(body[:_LENGTH], "little")
+            packed = memoryview(body)[_LENGTH:end]
+            document = msgspec.msgpack.decode(packed, type=_Document, dec_hook=_array)
+            size = len(document.mean)
+            covariance = np.frombuffer(body, offset=end).reshape(size, size).copy()
         except FileNotFoundError:
             return None
         except (OSError, ValueError) as reason:  # msgspec's are ValueErrors
@@ -101,7 +135,7 @@ class SolutionFile:
         if document.inputs != self._inputs:
             _log.info("%s: not used, since the site or the program has changed", self._path)
             return None
-        return self._solution(document, now_ns)
+        return self._solution(document, covariance, now_ns)
 
     def _document(self, solution: Solution, map_id: UUID | None) -> _Document:
         solved, known = solution.solved, solution.solved.known
@@ -113,14 +147,13 @@ class SolutionFile:
             stamps_ns=known.stamps_ns,
             layout=known.layout,
             mean=known.known.mean,
-            covariance=known.known.covariance,
             shares=[(*pair, *share) for pair, share in solved.shares.items()],
             conclusions=solved.conclusions,
             located=solved.located,
         )
 
-    def _solution(self, document: _Document, now_ns: int) -> Solution:
-        source = Gaussian.of(document.mean, document.covariance)
+    def _solution(self, document: _Document, covariance: Array, now_ns: int) -> Solution:
+        source = Gaussian.of(document.mean, covariance)
         known = Filter(document.state, document.stamps_ns, document.layout, source)
         crept = {
             camera: self._creep[camera].covariance(now_ns - document.until_ns)

@@ -38,7 +38,8 @@ _CAMERA = '[cameras.c{}]\nsource = "sim://c{}"\nwidth = 640\nheight = 480\nrate 
 class Corridor(Struct, frozen=True):
     """`cameras` of them on a ring, driven along for `duration_s`. `robots`: spread along it, each
     with a target of its own; `is_empty_told`: whether cameras that see none say so; `stands_s`: for
-    how long they then stand where they arrived."""
+    how long they then stand where they arrived; `camera_options`: more lines of each camera's
+    table."""
 
     cameras: int
     duration_s: float
@@ -47,6 +48,7 @@ class Corridor(Struct, frozen=True):
     odometry_hz: float = ODOMETRY_HZ
     is_empty_told: bool = False
     stands_s: float = 0.0
+    camera_options: str = ""
 
     @property
     def radius_m(self) -> float:
@@ -67,7 +69,8 @@ class Corridor(Struct, frozen=True):
 
     @property
     def inputs(self) -> Inputs:
-        cameras = "\n".join(_CAMERA.format(i, i) for i in range(self.cameras))
+        tables = (_CAMERA.format(i, i) + self.camera_options for i in range(self.cameras))
+        cameras = "\n".join(tables)
         robots = "\n".join(map(_ROBOT.format, self.targets))
         site = parse_site(_SITE.format(cameras=cameras, robots=robots), directory=Path())
         return Inputs(site, self.targets)
@@ -85,7 +88,7 @@ class Corridor(Struct, frozen=True):
         """(camera or robot, message) in the order of their stamps."""
         random, targets = np.random.default_rng(seed), self.targets
         lens = CameraModel.from_field_of_view(640, 480, np.radians(62.0))
-        places = [self._camera(index) for index in range(self.cameras)]
+        places = [self.camera(index) for index in range(self.cameras)]
         for index in range(self.cameras):
             name = f"c{index}"
             yield name, CameraInfo(EPOCH_NS, f"{name}/optical", lens)
@@ -130,7 +133,7 @@ class Corridor(Struct, frozen=True):
         noisy = reported(increments(truth), OdometryNoise(), np.zeros(2), random)
         return chained(Pose.identity(), noisy)
 
-    def _camera(self, index: int) -> Pose:
+    def camera(self, index: int) -> Pose:
         """map_from_camera: above the outer edge, looking along the corridor and down."""
         turn = 2 * np.pi * (index + 0.5) / self.cameras
         outside = np.array([np.sin(turn), -np.cos(turn), 0.0])

@@ -19,7 +19,7 @@ import typer
 
 from benchmarks.table import Row
 from benchmarks.timing import in_new_process
-from trigpoint.base.clock import SystemClock
+from trigpoint.base.clock import ManualClock, SystemClock, to_seconds
 from trigpoint.contract import cdr
 from trigpoint.contract.topics import command_key
 from trigpoint.fusion.checkpoint import CHECKPOINT, full_files, read_checkpoint
@@ -30,6 +30,7 @@ from trigpoint.fusion.model.inputs import Inputs
 from trigpoint.fusion.node import FusionNode
 from trigpoint.node.node import Node
 from trigpoint.testing.memory_bus import MemoryBroker
+from trigpoint.tools.simulation.session import EPOCH_NS
 
 from .corridor import Corridor
 
@@ -60,10 +61,13 @@ def _rows(corridor: Corridor, folder: Path) -> Iterator[Row]:
 def _stored(corridor: Corridor, folder: Path) -> int:
     """Store a drive's messages; how many."""
     site = corridor.inputs.site
-    storage = MapStorage(folder, site, SystemClock(), knows=lambda _: True)
+    clock = ManualClock()
+    storage = MapStorage(folder, site, clock, knows=lambda _: True)
     for node, message in corridor.messages():
         key = INPUT_TOPICS[type(message)].key(site.name, node)
         storage.store(key, cdr.encode(message), message)
+        clock.advance(max(0.0, to_seconds(message.stamp_ns - EPOCH_NS - clock.elapsed_ns())))
+        storage.flush()
     storage.close()
     files = [*full_files(folder), folder / CHECKPOINT]
     return sum(1 for path in files for _ in read_checkpoint(path))

@@ -8,7 +8,7 @@ from msgspec import Struct
 from trigpoint.fusion.association.explanation import Alternative
 from trigpoint.fusion.model.dataset import CameraMove
 from trigpoint.fusion.model.observations import Observation
-from trigpoint.fusion.model.odometry import Added
+from trigpoint.fusion.model.odometry import Readings
 from trigpoint.fusion.solver.filter import RobotEstimate
 from trigpoint.fusion.solver.snapshot import GuidanceWorld
 from trigpoint.geometry import CameraModel, Pose
@@ -63,7 +63,9 @@ class Trajectory(Struct, frozen=True):
 class Live(Protocol):
     """Odometry and observations in, the robots' and the cameras' poses out. Not thread-safe."""
 
-    def add_odometry(self, robot: str, stamp_ns: int, odom_from_base: Pose) -> Added: ...
+    def add_odometry(self, robot: str, readings: Readings) -> list[int]:
+        """Take a robot's odometry, one message after the other; what became of each, `Added`."""
+        ...
 
     def add_observation(self, observation: Observation) -> Update:
         """Take an observation whose moment odometry covers, in any order. One that repeats others

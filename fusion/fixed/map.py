@@ -16,7 +16,7 @@ from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.model.dataset import CameraMove, Conclusions, DataSet
 from trigpoint.fusion.model.known_cameras import KnownCameras
 from trigpoint.fusion.model.observations import Observation
-from trigpoint.fusion.model.odometry import Added
+from trigpoint.fusion.model.odometry import Readings
 from trigpoint.fusion.solver.filter import RobotEstimate
 from trigpoint.fusion.solver.snapshot import GuidanceWorld
 from trigpoint.geometry import Pose
@@ -47,11 +47,10 @@ class FixedMap:
 
     # -- input ------------------------------------------------------------------------------------
 
-    def add_odometry(self, robot: str, stamp_ns: int, odom_from_base: Pose) -> Added:
+    def add_odometry(self, robot: str, readings: Readings) -> list[int]:
         track = self.data.tracks[robot]
-        added = track.add(stamp_ns, odom_from_base)
-        if added is not Added.STALE:
-            self._widen(stamp_ns)
+        added = track.add_run(readings)
+        self._widen(track.last_ns)
         if len(track) > MOST_ODOMETRY:
             self._forget_odometry(robot)
         return added

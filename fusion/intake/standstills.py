@@ -94,8 +94,9 @@ class Standstills:
         track = self._tracks[robot]
         if not len(track):
             return True
-        stamps_ns = np.clip([since_ns, stamp_ns], track.first_ns, track.last_ns)
-        return track.is_still(*sorted(stamps_ns.tolist()))
+        first_ns, last_ns = track.first_ns, track.last_ns
+        ends_ns = (min(max(ns, first_ns), last_ns) for ns in sorted((since_ns, stamp_ns)))
+        return track.is_still(*ends_ns)
 
 
 _Rows = np.ndarray | slice

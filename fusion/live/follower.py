@@ -10,6 +10,7 @@ corrections. So no turn takes long, and late sightings enter the new filter as w
 from collections import deque
 from collections.abc import Callable, Iterator
 
+import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 from numpy.linalg import LinAlgError
@@ -22,7 +23,7 @@ from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.estimators.smoother.current_filter import CurrentFilter
 from trigpoint.fusion.model.dataset import CameraMove, DataSet, Entry, Event
 from trigpoint.fusion.model.observations import Observation
-from trigpoint.fusion.model.odometry import Added
+from trigpoint.fusion.model.odometry import Added, Readings
 from trigpoint.fusion.solver.filter import RobotEstimate
 from trigpoint.fusion.solver.snapshot import GuidanceWorld
 from trigpoint.geometry import Pose
@@ -68,7 +69,7 @@ class _Coming(Struct):
 class Follower:
     """A `Live` estimator whose `Reports` come with a solver's news. Not thread-safe. `forget`:
     called where the odometry's past was dropped, for others to drop what refers to it. `solution`:
-    the solver's last one, None before it."""
+    the solver's last one, None before it; another thread may read it."""
 
     def __init__(self, data: DataSet, solver: Solver, forget: Callable[[], None]) -> None:
         self.data, self._solver, self._forget = data, solver, forget
@@ -76,7 +77,7 @@ class Follower:
         self._coming: _Coming | None = None
         self._orders: list[Order] = []
         # By robot, what came after these orders. A message by itself takes 20 µs to be packed.
-        self._odometry: dict[str, list[tuple[int, Pose]]] = {}
+        self._odometry: dict[str, list[Readings]] = {}
         self._recent: list[_Recent] = []
         self._lenses: set[str] = set()
         self._told = 0
@@ -92,10 +93,12 @@ class Follower:
 
     # -- input ------------------------------------------------------------------------------------
 
-    def add_odometry(self, robot: str, stamp_ns: int, odom_from_base: Pose) -> Added:
-        added = self.data.tracks[robot].add(stamp_ns, odom_from_base)
-        if added is not Added.STALE:
-            self._odometry.setdefault(robot, []).append((stamp_ns, odom_from_base))
+    def add_odometry(self, robot: str, readings: Readings) -> list[int]:
+        added = self.data.tracks[robot].add_run(readings)
+        if Added.STALE in added:
+            readings = readings[np.array(added) != Added.STALE]
+        if len(readings):
+            self._odometry.setdefault(robot, []).append(readings)
         self._current.begin(robot)
         return added
 
@@ -148,7 +151,8 @@ class Follower:
         self._recent = [r for r in self._recent if r.number is None or r.number > solved.count]
         while len(self._unsolved_ns) > self._told - solved.count:
             self._until_ns = max(self._until_ns, self._unsolved_ns.popleft())
-        self.solution = Solution(replace(solved, past=None), self._until_ns)
+        kept = replace(solved, known=solved.known.copy(), past=None)
+        self.solution = Solution(kept, self._until_ns)
         missing = sorted((r.observation for r in self._recent), key=lambda o: o.stamp_ns)
         self._coming = _Coming(self._concluded(solved), deque(missing))
 
@@ -216,8 +220,7 @@ class Follower:
     def _order(self, *orders: Order) -> None:
         """Give orders, behind the odometry that came before them."""
         for robot, readings in self._odometry.items():
-            stamps_ns, poses = zip(*readings, strict=True)
-            self._orders.append(TakeOdometry(robot, stamps_ns, Pose.stack(list(poses))))
+            self._orders.append(TakeOdometry(robot, Readings.joined(readings)))
         self._odometry.clear()
         self._orders += orders
 

@@ -9,6 +9,7 @@ from trigpoint.contract.messages import OccupancyGrid
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.model.dataset import CameraMove, Conclusions, Event
 from trigpoint.fusion.model.observations import Observation
+from trigpoint.fusion.model.odometry import Readings
 from trigpoint.fusion.model.past import Past
 from trigpoint.fusion.solver.filter import Filter
 from trigpoint.geometry import CameraModel, Pose
@@ -24,11 +25,10 @@ class TakeLens(Struct, frozen=True):
 
 
 class TakeOdometry(Struct, frozen=True):
-    """A robot's odometry messages, as they were taken: stamps (n,) and poses (n)."""
+    """A robot's odometry messages, as they were taken."""
 
     robot: str
-    stamps_ns: tuple[int, ...]
-    odom_from_base: Pose
+    readings: Readings
 
 
 class TakeObservation(Struct, frozen=True):

@@ -7,13 +7,15 @@ the increment's twist and of its variance. The core composes the motion (`odomet
 
 import bisect
 import copy
-from collections.abc import Iterable
-from enum import Enum
+from collections.abc import Iterable, Sequence
+from enum import IntEnum
+from typing import Self
 
 import numpy as np
+from msgspec import Struct
 from numpy.linalg import LinAlgError
 
-from trigpoint.base.clock import NANOSECONDS, to_ns
+from trigpoint.base.clock import to_ns
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.site.config import OdometryNoise
@@ -35,15 +37,8 @@ PARTS = (
 PLANAR = [0, 1, 5]
 SPATIAL = [0, 1, 2, 3, 4, 5]
 
-# No robot of this kind exceeds these: a larger step means that its counters restarted or that it
-# was carried, and says nothing about where it is.
-MAXIMUM_SPEED = 5.0  # m/s
-MAXIMUM_TURN_RATE = 20.0  # rad/s
 # Over a longer gap in its odometry a robot is not taken to drive straight between the ends.
 LONGEST_GAP_S = 1.0
-_GAP_PERIODS = 10
-_GAP_SHARE = 0.5
-_ALLOWANCE = 0.05  # m and rad, for the rounding of stamps
 # This many messages of a standstill are kept individually (20 s at 50 Hz); later ones are merged
 # into a single step without motion, whose end moves on.
 MOST_STANDING = 1024
@@ -53,12 +48,48 @@ SLIP = 0.001  # m per √rad
 _ARRAYS = ("_stamps", "_rotations", "_translations", "_twists", "_jumps", "_gaps")
 
 
-class Added(Enum):
-    """The outcome of adding an odometry message."""
+class Added(IntEnum):
+    """The outcome of adding an odometry message: taken; not newer than the last one; taken, but it
+    jumps or comes after a gap, so that the motion before it is unknown."""
 
-    TAKEN = "taken"
-    STALE = "not newer than the last one"
-    JUMP = "taken, but it jumps or comes after a gap: the motion before it is unknown"
+    TAKEN = 0
+    STALE = -1
+    JUMP = 1
+
+
+class Readings(Struct, frozen=True):
+    """Odometry messages of one robot that came one after the other: stamps (n,), ns, and poses
+    (n)."""
+
+    stamps_ns: np.ndarray
+    odom_from_base: Pose
+
+    def __len__(self) -> int:
+        return len(self.stamps_ns)
+
+    def __getitem__(self, rows: slice | np.ndarray) -> "Readings":
+        return Readings(self.stamps_ns[rows], self.odom_from_base[rows])
+
+    @property
+    def last_ns(self) -> int:
+        return self.stamps_ns.item(-1)
+
+    @classmethod
+    def of(cls, stamp_ns: int, odom_from_base: Pose) -> Self:
+        """One message's."""
+        return cls(np.array([stamp_ns]), Pose.stack([odom_from_base]))
+
+    @classmethod
+    def joined(cls, some: "Sequence[Readings]") -> Self:
+        """Some, one after the other."""
+        poses = [each.odom_from_base for each in some]
+        return cls(
+            np.concatenate([each.stamps_ns for each in some]),
+            Pose(
+                np.concatenate([pose.rotation for pose in poses]),
+                np.concatenate([pose.translation for pose in poses]),
+            ),
+        )
 
 
 class OdometryTrack:
@@ -126,48 +157,25 @@ class OdometryTrack:
 
         Once the robot has stood for long, the last message is moved on instead.
         """
-        row = self._count
-        if row and stamp_ns <= self.last_ns:
-            return Added.STALE
-        self._grow()
-        tables = self._rotations, self._translations, self._twists
-        self.reported, is_still, length_m, angle_rad = self._rest.add_to_track(
-            stamp_ns, odom_from_base, row, tables
+        return Added(self.add_run(Readings.of(stamp_ns, odom_from_base))[0])
+
+    def add_run(self, readings: Readings) -> list[int]:
+        """Append messages, one after the other; what became of each, `Added`."""
+        stamps_ns, poses = readings.stamps_ns, readings.odom_from_base
+        self._grow(len(readings))
+        state = np.array([self._count, self._period_ns, self._standing])
+        parts = map(np.ascontiguousarray, (poses.rotation, poses.translation))
+        reported, became = Pose(np.empty((3, 3)), np.empty(3)), np.empty_like(stamps_ns)
+        tables = (getattr(self, name) for name in _ARRAYS)
+        taken = odometry_kernels.ADDED(
+            *(self._rest, self.planar, MOST_STANDING, state, *tables, stamps_ns, *parts),
+            *(reported.rotation, reported.translation, became),
         )
-        self._stamps[row] = stamp_ns
-        self._count = row + 1
-        if not row:
-            return Added.TAKEN
-        period_ns = stamp_ns - self._stamps.item(row - 1)
-        is_jump = self._is_jump(row, length_m, angle_rad, period_ns / NANOSECONDS)
-        if is_jump:
-            self._twists[row] = 0.0
-            self._jumps[row] = True
-            self._jump_rows.append(row)
-        self._period_ns = period_ns
-        self._standing = self._standing + 1 if is_still and not is_jump else 0
-        if self._standing > MOST_STANDING:
-            self._merge(row)
-        return Added.JUMP if is_jump else Added.TAKEN
-
-    def _is_jump(self, row: int, length_m: float, angle_rad: float, seconds: float) -> bool:
-        """Whether the motion in a step is unknown; notes what may have been driven unseen in it."""
-        usual = self._period_ns / NANOSECONDS
-        if row > 1 and seconds > max(LONGEST_GAP_S, _GAP_PERIODS * usual):
-            # If it went on at its speed, the ends are known but not the path between them;
-            # if it came much less far, its counters missed some motion or it drove about.
-            reach = float(np.linalg.norm(self._twists[row - 1, :3])) / usual * seconds
-            self._gaps[row] = max(reach, length_m, _ALLOWANCE)
-            if length_m < _GAP_SHARE * reach - _ALLOWANCE:
-                return True
-        is_far = length_m > MAXIMUM_SPEED * seconds + _ALLOWANCE
-        return is_far or angle_rad > MAXIMUM_TURN_RATE * seconds + _ALLOWANCE
-
-    def _merge(self, row: int) -> None:
-        """Merge the last message with the one before it, where the robot stood in both steps."""
-        if row > 1 and self._stands(row) and self._stands(row - 1):
-            self._stamps[row - 1] = self._stamps[row]
-            self._count = row
+        self._count, self._period_ns, self._standing = state.tolist()
+        if taken:
+            self.reported = reported
+        self._jump_rows += became[became > 0].tolist()
+        return np.sign(became).tolist()
 
     def _stands(self, row: int) -> bool:
         """Whether the robot is known not to have moved in the step that ends at a row."""
@@ -279,12 +287,12 @@ class OdometryTrack:
             self._jumps[row] = True
             bisect.insort(self._jump_rows, row)
 
-    def _grow(self) -> None:
-        if self._count < len(self._stamps):
-            return
-        for name in _ARRAYS:
-            array = getattr(self, name)
-            setattr(self, name, np.concatenate([array, np.zeros_like(array)]))
+    def _grow(self, more: int) -> None:
+        """Have room for so many more messages."""
+        while self._count + more > len(self._stamps):
+            for name in _ARRAYS:
+                array = getattr(self, name)
+                setattr(self, name, np.concatenate([array, np.zeros_like(array)]))
 
     def carried(self, stamps_ns: np.ndarray, seconds: Array, scales: Array) -> tuple[Pose, Array]:
         """The robot's motion from moments (n,) during seconds (n,), backwards where negative.

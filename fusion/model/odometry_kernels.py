@@ -5,6 +5,8 @@ import numpy as np
 
 from trigpoint.native.library import In, Kernel, Out
 
+from .rest import Rest
+
 _REAL, _WHOLE = np.float64, np.int64
 # Stamps, rotations, translations, twists, jumps, gaps; the noise's parts, slip, skid and scales.
 _TRACK = (
@@ -15,6 +17,14 @@ _NOISE = In(_REAL, (7,)), float, float, In(_REAL, (2,))
 _MOMENTS = In(_WHOLE, ("m",))
 _POSE = In(_REAL, (1, 12))
 
+# A track that grows: how many messages of a standstill it keeps; its messages, last interval and
+# standstill (3,), and its tables.
+_GROWING = int, Out(_WHOLE, (3,)), *(Out(table.dtype, table.shape) for table in _TRACK)
+ADDED = Kernel(
+    *("tp_odometry_added", Rest, int, *_GROWING, _MOMENTS),
+    *(In(_REAL, ("m", 3, 3)), In(_REAL, ("m", 3)), Out(_REAL, (3, 3)), Out(_REAL, (3,))),
+    Out(_WHOLE, ("m",)),
+)
 CARRIED = Kernel(
     *("tp_carried", *_TRACK, _MOMENTS, In(_REAL, ("m",)), In(_REAL, (2,))),
     *(Out(_REAL, ("m", 12)), Out(_REAL, ("m", 6))),

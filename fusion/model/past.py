@@ -56,6 +56,6 @@ class Past(Struct, frozen=True):
         """Whether a sighting of a robot is part of the past, known or lost."""
         return stamp_ns < self.since_ns.get(robot, 0)
 
-    def needs_odometry(self, robot: str, stamp_ns: int) -> bool:
-        """Whether a robot's odometry message bears on sightings that are kept."""
-        return stamp_ns >= self.since_ns.get(robot, 0) - ODOMETRY_BEFORE_NS
+    def odometry_since_ns(self, robot: str) -> int:
+        """From then on a robot's odometry bears on sightings that are kept."""
+        return self.since_ns.get(robot, 0) - ODOMETRY_BEFORE_NS

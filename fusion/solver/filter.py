@@ -81,6 +81,10 @@ class Filter(Struct, frozen=True, eq=False, dict=True):
         """The same filter with its covariance evaluated; raise LinAlgError as `known` does."""
         return replace(self, source=self.known.settled())
 
+    def copy(self) -> "Filter":
+        """The same filter for another thread, its covariance evaluated."""
+        return replace(self, source=self.known.copy())
+
     @property
     def reduced(self) -> Reduced:
         """The estimate in information form."""

@@ -99,6 +99,8 @@ class Gaussian(Struct, eq=False, dict=True):
     def mean(self) -> Array:
         """The mean of all unknowns, (n,)."""
         near, (mean, covariance) = self._near, self.before
+        if not len(near.columns):
+            return mean
         whole = mean + covariance[:, near.columns] @ near.pull
         whole[near.columns] = near.mean
         return whole
@@ -107,6 +109,8 @@ class Gaussian(Struct, eq=False, dict=True):
     def covariance(self) -> Array:
         """The full covariance, (n, n); takes time and memory quadratic in n."""
         near, (_, covariance) = self._near, self.before
+        if not len(near.columns):
+            return covariance
         across = covariance[near.columns]
         whole = covariance - across.T @ (near.weight @ across)
         rows = near.carry @ across
@@ -121,7 +125,11 @@ class Gaussian(Struct, eq=False, dict=True):
 
     def settled(self) -> "Gaussian":
         """The same Gaussian, evaluated: no column is near and no history is kept."""
-        return Gaussian.of(self.mean, self.covariance) if len(self._near.columns) else self
+        return self.copy() if len(self._near.columns) else self
+
+    def copy(self) -> "Gaussian":
+        """The same Gaussian for another thread, evaluated."""
+        return Gaussian.of(self.mean, self.covariance)
 
     def mean_of(self, columns: np.ndarray) -> Array:
         """The mean of some columns (m,), (m,)."""

@@ -7,6 +7,7 @@ what is wrong. Absurdly large counts are refused at once, as the general path wo
 
 import math
 import struct
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -14,7 +15,7 @@ import numpy as np
 from trigpoint.base.errors import MessageError
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.camera import LensModel
-from trigpoint.geometry.rotation import of_quaternion
+from trigpoint.geometry.rotation import of_quaternion, of_quaternions
 
 from .messages import CameraInfo, FaceSighting, Odometry, PoseEstimate, Sightings
 
@@ -78,6 +79,48 @@ def odometry(payload: bytes) -> Odometry | None:
         twist[:3],
         twist[3:],
     )
+
+
+def odometry_run(payloads: Sequence[bytes]) -> tuple[np.ndarray, Pose] | None:
+    """The stamps (n,), ns, and poses (n) of messages, to the last bit as `odometry` reads each;
+    None if one of them is not valid, or has other names than the first."""
+    first, size = payloads[0], len(payloads[0])
+    names = first[_START + STAMP.size : size - ODOMETRY.size]
+    if len(names) > _MOST_NAMES_BYTES or any(len(payload) != size for payload in payloads):
+        return None
+    try:
+        *_, position = _frames(names)
+    except (struct.error, ValueError):
+        return None
+    rows = np.frombuffer(b"".join(payloads), _row(position, size))
+    is_alike = np.all(rows["byte_order"] == rows["byte_order"][0]) and np.all(
+        rows["names"] == rows["names"][0]
+    )
+    pose = np.ascontiguousarray(rows["pose"])
+    # Each sum is finite only if all of it are.
+    is_finite = np.isfinite(pose.sum(axis=1) + rows["twist"].sum(axis=1)).all()
+    if not (is_alike and is_finite and _is_whole(first, position + ODOMETRY.size)):
+        return None
+    quaternions = pose[:, 3:]
+    if np.abs(np.linalg.norm(quaternions, axis=1) - 1).max() > UNIT_TOLERANCE:
+        return None
+    stamps_ns = rows["seconds"].astype(np.int64) * 1_000_000_000 + rows["nanoseconds"]
+    return stamps_ns, Pose(of_quaternions(quaternions), pose[:, :3].copy())
+
+
+@lru_cache(maxsize=256)
+def _row(position: int, size: int) -> np.dtype:
+    """An odometry message of this size whose pose is at this position."""
+    fields = {
+        "byte_order": ("u2", 0),
+        "seconds": ("<i4", _START),
+        "nanoseconds": ("<u4", _START + 4),
+        "names": (("u1", position - _START - STAMP.size), _START + STAMP.size),
+        "pose": (("<f8", 7), position),
+        "twist": (("<f8", 6), position + 8 * (7 + _COVARIANCE)),
+    }
+    formats, offsets = zip(*fields.values(), strict=True)
+    return np.dtype({"names": [*fields], "formats": formats, "offsets": offsets, "itemsize": size})
 
 
 @lru_cache(maxsize=256)

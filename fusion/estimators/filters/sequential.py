@@ -18,7 +18,7 @@ from trigpoint.fusion.estimators.interface import CameraCount, CameraEstimate, T
 from trigpoint.fusion.estimators.residuals import CameraResiduals
 from trigpoint.fusion.model.dataset import CameraMove, DataSet, Entry
 from trigpoint.fusion.model.observations import Observation, Verdict, base_from_faces
-from trigpoint.fusion.model.odometry import Added
+from trigpoint.fusion.model.odometry import Readings
 from trigpoint.fusion.solver.filter import RobotEstimate, carried_on, is_placed
 from trigpoint.fusion.solver.snapshot import GuidanceWorld
 from trigpoint.geometry import Pose
@@ -45,8 +45,8 @@ class SequentialEstimator:
 
     # -- input ------------------------------------------------------------------------------------
 
-    def add_odometry(self, robot: str, stamp_ns: int, odom_from_base: Pose) -> Added:
-        added = self.data.tracks[robot].add(stamp_ns, odom_from_base)
+    def add_odometry(self, robot: str, readings: Readings) -> list[int]:
+        added = self.data.tracks[robot].add_run(readings)
         if self._replay is None and (robot == self.data.anchored_robot or self.data.known.poses):
             self._replay = Replay(self.data, self._origin)
         return added

@@ -24,7 +24,7 @@ from trigpoint.fusion.estimators.residuals import (
 )
 from trigpoint.fusion.model.dataset import CameraMove, DataSet, Entry
 from trigpoint.fusion.model.observations import Observation, Verdict
-from trigpoint.fusion.model.odometry import Added
+from trigpoint.fusion.model.odometry import Readings
 from trigpoint.fusion.model.past import Past
 from trigpoint.fusion.model.trajectory import interpolated
 from trigpoint.fusion.solver.filter import RobotEstimate
@@ -58,8 +58,8 @@ class Smoother:
 
     # -- input ------------------------------------------------------------------------------------
 
-    def add_odometry(self, robot: str, stamp_ns: int, odom_from_base: Pose) -> Added:
-        added = self.data.tracks[robot].add(stamp_ns, odom_from_base)
+    def add_odometry(self, robot: str, readings: Readings) -> list[int]:
+        added = self.data.tracks[robot].add_run(readings)
         self._current.begin(robot)
         return added
 

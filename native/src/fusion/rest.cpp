@@ -1,5 +1,6 @@
 // A robot's odometry as it comes: without the noise that it shows while the robot stands, and the
-// motion from one message to the next. `rest.py` says how it is told that a robot stands.
+// motion from one message to the next. `rest.py` says how it is told that a robot stands,
+// `odometry.py` what a track is.
 #include <algorithm>
 #include <cmath>
 #include <cstring>
@@ -27,7 +28,13 @@ constexpr double MOST_PLACE = 0.01, MOST_TURN = 1 * DEGREE;
 // after a start), rad/s. No robot turns as slowly.
 constexpr double BIAS = 0.1 * DEGREE;
 // Over a longer silence than this, and than so many of the intervals before, nothing is noise.
-constexpr std::int64_t GAP_NS = 1'000'000'000, GAP_INTERVALS = 3;
+constexpr std::int64_t GAP_NS = 1'000'000'000;  // LONGEST_GAP_S of a track
+constexpr double GAP_INTERVALS = 3;
+// No robot of this kind exceeds these: a larger step means that its counters restarted or that it
+// was carried, and says nothing about where it is. m/s, rad/s.
+constexpr double MAXIMUM_SPEED = 5, MAXIMUM_TURN_RATE = 20;
+constexpr double GAP_PERIODS = 10, GAP_SHARE = 0.5;
+constexpr double ALLOWANCE = 0.05;  // m and rad, for the rounding of stamps
 
 // How far two poses are apart: m, and rad by the chord between their rotations.
 struct Apart {
@@ -148,10 +155,11 @@ public:
 private:
     // The reading, after those of the same rest or drive that are recent.
     Reading read(std::int64_t stamp_ns, const Pose& pose) {
-        if (recent_.empty()) return {stamp_ns, pose, {}};
+        if (recent_.empty()) return {moment(stamp_ns), pose, {}};
         const Reading last = recent_.back();
-        const std::int64_t interval_ns = stamp_ns - last.stamp_ns;
-        if (interval_ns > GAP_NS && interval_ns / GAP_INTERVALS > interval_ns_) {
+        const std::int64_t interval_ns = moment(stamp_ns) - last.stamp_ns;
+        if (interval_ns > GAP_NS &&
+            static_cast<double>(interval_ns) > GAP_INTERVALS * static_cast<double>(interval_ns_)) {
             if (anchor_) {
                 recent_ = {last};
                 leave();
@@ -242,10 +250,99 @@ Step spatial_step(const Pose& motion) {
 }
 
 // The pose that is given as a rotation and a translation, in the plane where the robot is.
-Pose reported(bool is_planar, const Argument* at) {
-    const Pose pose = pose_at(at[0].array.as<double>(), at[1].array.as<double>(), 0);
+Pose reported(bool is_planar, const Argument* at, Eigen::Index index = 0) {
+    const Pose pose = pose_at(at[0].array.as<double>(), at[1].array.as<double>(), index);
     return is_planar ? in_plane(pose) : pose;
 }
+
+// A track that grows message by message: the tables of `OdometryTrack`, which have room.
+class GrowingTrack {
+public:
+    static constexpr int ARGUMENTS = 8;
+    static constexpr std::int64_t STALE = -1, TAKEN = 0;
+
+    // (how many messages of a standstill are kept, messages so far with the last interval and the
+    // messages of the standstill (3,), which go on, stamps, rotations, translations, twists, jumps,
+    // gaps (n, …)).
+    GrowingTrack(Rest& rest, bool is_planar, const Argument* given)
+        : rest_(rest),
+          is_planar_(is_planar),
+          most_standing_(given[0].whole),
+          room_(given[2].array.shape[0]),
+          count_(given[1].array.as<std::int64_t>()[0]),
+          period_ns_(given[1].array.as<std::int64_t>()[1]),
+          standing_(given[1].array.as<std::int64_t>()[2]),
+          stamps_(given[2].array.as<std::int64_t>()),
+          rotations_(given[3].array.as<double>()),
+          translations_(given[4].array.as<double>()),
+          twists_(given[5].array.as<double>()),
+          jumps_(given[6].array.as<bool>()),
+          gaps_(given[7].array.as<double>()) {
+        if (count_ < 0 || count_ > room_ || standing_ > MOST_NS)
+            throw std::invalid_argument("a track that is none");
+        if (count_ > 0) moment(stamps_[count_ - 1]);
+    }
+
+    // Takes a message: its row where the motion before it is unknown, else TAKEN, or STALE.
+    std::int64_t add(std::int64_t stamp_ns, const Pose& said) {
+        const std::int64_t row = count_;
+        if (row && stamp_ns <= stamps_[row - 1]) return STALE;
+        if (row == room_) throw std::out_of_range("a row beyond the track");
+        const Pose pose = rest_.added(stamp_ns, said);
+        put_pose(pose, rotations_, translations_, row);
+        stamps_[row] = stamp_ns;
+        ++count_;
+        if (!row) return TAKEN;
+        const Pose motion = pose_at(rotations_, translations_, row - 1).inverse().times(pose);
+        const Step step = is_planar_ ? planar_step(motion) : spatial_step(motion);
+        Eigen::Map<Vector6d>(twists_ + 6 * row) = step.twist;
+        const bool is_still = (step.twist.array().abs() < STILL).all();
+        const std::int64_t interval_ns = stamp_ns - stamps_[row - 1];
+        const bool is_jump = jumps(row, step, SECONDS * static_cast<double>(interval_ns));
+        if (is_jump) {
+            Eigen::Map<Vector6d>(twists_ + 6 * row).setZero();
+            jumps_[row] = true;
+        }
+        period_ns_ = interval_ns;
+        standing_ = is_still && !is_jump ? standing_ + 1 : 0;
+        if (standing_ > most_standing_ && row > 1 && stands(row) && stands(row - 1)) {
+            stamps_[row - 1] = stamps_[row];  // one step of standing, whose end moves on
+            count_ = row;
+        }
+        return is_jump ? row : TAKEN;
+    }
+
+private:
+    // Whether the motion in a step is unknown; notes what may have been driven unseen in it.
+    bool jumps(std::int64_t row, const Step& step, double seconds) {
+        const double usual = SECONDS * static_cast<double>(period_ns_);
+        if (row > 1 && seconds > std::max(SECONDS * GAP_NS, GAP_PERIODS * usual)) {
+            // If it went on at its speed, the ends are known but not the path between them; if it
+            // came much less far, its counters missed some motion or it drove about.
+            const double speed =
+                Eigen::Map<const Eigen::Vector3d>(twists_ + 6 * (row - 1)).norm() / usual;
+            const double reach = speed * seconds;
+            gaps_[row] = std::max({reach, step.length, ALLOWANCE});
+            if (step.length < GAP_SHARE * reach - ALLOWANCE) return true;
+        }
+        return step.length > MAXIMUM_SPEED * seconds + ALLOWANCE ||
+               step.angle > MAXIMUM_TURN_RATE * seconds + ALLOWANCE;
+    }
+
+    // Whether the robot is known not to have moved in the step that ends at a row.
+    bool stands(std::int64_t row) const {
+        const Eigen::Map<const Vector6d> twist(twists_ + 6 * row);
+        return !jumps_[row] && gaps_[row] == 0 && (twist.array().abs() < STILL).all();
+    }
+
+    Rest& rest_;
+    bool is_planar_;
+    std::int64_t most_standing_, room_, &count_, &period_ns_, &standing_;
+    std::int64_t* stamps_;
+    double *rotations_, *translations_, *twists_;
+    bool* jumps_;
+    double* gaps_;
+};
 
 }  // namespace
 
@@ -256,34 +353,29 @@ TRIGPOINT_OBJECT(tp_rest, Rest)
 TRIGPOINT_KERNEL(tp_rest_added) {
     Rest& rest = *static_cast<Rest*>(arguments[0].object);
     const Pose pose = reported(arguments[1].whole, arguments + 3);
-    const Pose found = rest.added(moment(arguments[2].whole), pose);
+    const Pose found = rest.added(arguments[2].whole, pose);
     put_pose(found, arguments[5].array.as<double>(), arguments[6].array.as<double>(), 0);
     return rest.trembles();
 }
 
-// (the rest, whether the robot is in the plane, stamp, pose as rotation (3, 3) and translation
-// (3,), reported pose as these, row, rotations (n, 3, 3), translations (n, 3) and twists (n, 6) of
-// a track, length and angle (2,)): sets a row of the track, with the motion from the row before;
-// whether there was none.
+// (the rest, whether the robot is in the plane, a growing track, stamps (m,), poses as rotations
+// (m, 3, 3) and translations (m, 3), the last one that is taken as it was reported (3, 3), (3,),
+// what became of each message (m,)): how many were taken.
 TRIGPOINT_KERNEL(tp_odometry_added) {
-    Rest& rest = *static_cast<Rest*>(arguments[0].object);
-    const std::int64_t row = arguments[7].whole;
-    const Array &rotations = arguments[8].array, &translations = arguments[9].array;
-    if (row < 0 || row >= rotations.shape[0]) throw std::out_of_range("a row beyond the track");
-    const Pose said = reported(arguments[1].whole, arguments + 3);
-    put_pose(said, arguments[5].array.as<double>(), arguments[6].array.as<double>(), 0);
-    const Pose pose = rest.added(moment(arguments[2].whole), said);
-    put_pose(pose, rotations.as<double>(), translations.as<double>(), row);
-    double* measures = arguments[11].array.as<double>();
-    measures[0] = measures[1] = 0;
-    if (row == 0) return 1;
-    const Pose motion =
-        pose_at(rotations.as<double>(), translations.as<double>(), row - 1).inverse().times(pose);
-    const Step step = arguments[1].whole ? planar_step(motion) : spatial_step(motion);
-    Eigen::Map<Vector6d>(arguments[10].array.as<double>() + 6 * row) = step.twist;
-    measures[0] = step.length;
-    measures[1] = step.angle;
-    return (step.twist.array().abs() < STILL).all();
+    const bool is_planar = arguments[1].whole;
+    GrowingTrack track(*static_cast<Rest*>(arguments[0].object), is_planar, arguments + 2);
+    const Argument* given = arguments + 2 + GrowingTrack::ARGUMENTS;
+    const auto* stamps = given[0].array.as<std::int64_t>();
+    auto* became = given[5].array.as<std::int64_t>();
+    std::int64_t taken = 0;
+    for (std::int64_t i = 0; i < given[0].array.shape[0]; ++i) {
+        const Pose said = reported(is_planar, given + 1, i);
+        became[i] = track.add(stamps[i], said);
+        if (became[i] == GrowingTrack::STALE) continue;
+        put_pose(said, given[3].array.as<double>(), given[4].array.as<double>(), 0);
+        ++taken;
+    }
+    return taken;
 }
 
 // (the rest, cells (n,)): how many cells hold it; they are written where they suffice.

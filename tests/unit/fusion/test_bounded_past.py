@@ -39,6 +39,7 @@ from trigpoint.fusion.map_storage import MapStorage
 from trigpoint.fusion.model.past import Past
 from trigpoint.fusion.past_file import load_past, save_past
 from trigpoint.fusion.pipeline import Pipeline
+from trigpoint.fusion.replaying import Replay
 from trigpoint.fusion.solver.filter import Filter
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
@@ -245,11 +246,10 @@ def test_a_map_goes_on_from_its_files(
     past = load_past(folder / PAST, drive.inputs.site, drive.inputs.targets)
     assert past is not None
     again, storage = Live(drive, past), opened(folder, past)
-    for key, payload in storage.records():
-        message = storage.message(key, payload)
-        if message is not None:
-            again.pipeline.push(topics.node_of(key), message)
-            again.pipeline.advance()
+    replay = Replay(again.pipeline)
+    for some in storage.read(1024):
+        for key, message in some:
+            replay.take(topics.node_of(key), message)
     storage.close()
     again.pipeline.resumed()
     network = again.feed(since_s=STOP_S).network()

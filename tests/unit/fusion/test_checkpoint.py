@@ -2,6 +2,7 @@
 
 import struct
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 from random import Random
 
@@ -22,9 +23,13 @@ RECORDS = [(f"lab/robot/r1/odom{i}", Random(i).randbytes(10 * i)) for i in range
 
 
 def write(path: Path, records: list[tuple[str, bytes]]) -> None:
-    checkpoint = Checkpoint(path, ManualClock())
+    """Each a second after the one before, and so a record of its own."""
+    clock = ManualClock()
+    checkpoint = Checkpoint(path, clock)
     for key, payload in records:
         checkpoint.write(key, payload)
+        clock.advance(1.0)
+        checkpoint.flush()
     checkpoint.close()
 
 
@@ -41,26 +46,39 @@ def test_what_is_written_is_read_again_also_over_several_lives(
     assert list(read_checkpoint(path)) == records
 
 
-def test_odometry_takes_a_fraction_of_its_length(tmp_path: Path) -> None:
+def test_odometry_of_half_a_second_takes_a_tenth_of_its_length(tmp_path: Path) -> None:
     path = tmp_path / "checkpoint.bin"
     messages = [
         encode(
             Odometry(20_000_000 * number, "r1/odom", "r1/base", Pose.planar(x, 0.3 * x, 0.1 * x))
         )
-        for number, x in enumerate(Random(1).random() for _ in range(100))
+        for number, x in enumerate(Random(1).random() for _ in range(500))
     ]
-    write(path, [("lab/robot/r1/odom", message) for message in messages])
-    assert path.stat().st_size < sum(map(len, messages)) / 4
+    clock = ManualClock()
+    checkpoint = Checkpoint(path, clock)
+    for message in messages:
+        checkpoint.write("lab/robot/r1/odom", message)
+        clock.advance(0.02)
+        checkpoint.flush()
+    checkpoint.close()
+    assert [payload for _, payload in read_checkpoint(path)] == messages
+    assert path.stat().st_size < sum(map(len, messages)) / 10
 
 
-def test_file_of_before_messages_were_compressed_is_read_and_goes_on(tmp_path: Path) -> None:
+@pytest.mark.parametrize("packed", [bytes, zlib.compress])
+def test_file_of_before_messages_were_compressed_together_is_read_and_goes_on(
+    tmp_path: Path, packed: Callable[[bytes], bytes]
+) -> None:
     path = tmp_path / "checkpoint.bin"
-    odometry = ("lab/robot/r1/odom", encode(Odometry(1, "r1/odom", "r1/base", Pose.identity())))
-    body = msgspec.msgpack.encode(odometry)
-    head = struct.pack("<II", len(body), zlib.crc32(body))
-    path.write_bytes(b"trigpoint-checkpoint/1\n" + head + body)
+    key, payload = (
+        "lab/robot/r1/odom",
+        encode(Odometry(1, "r1/odom", "r1/base", Pose.identity())),
+    )
+    body = msgspec.msgpack.encode((key, packed(payload)))
+    record = struct.pack("<II", len(body), zlib.crc32(body)) + body
+    path.write_bytes(b"trigpoint-checkpoint/1\n" + b"damaged" + 2 * record)
     write(path, RECORDS)
-    assert list(read_checkpoint(path)) == [odometry, *RECORDS]
+    assert list(read_checkpoint(path)) == [(key, payload), (key, payload), *RECORDS]
 
 
 def test_no_file_holds_nothing(tmp_path: Path) -> None:

@@ -13,9 +13,9 @@ from trigpoint.fusion import map_storage
 from trigpoint.fusion.checkpoint import PAST, full_files
 from trigpoint.fusion.inbox import INPUT_TOPICS, Input
 from trigpoint.fusion.intake.admission import AHEAD_NS
-from trigpoint.fusion.map_storage import MapStorage
+from trigpoint.fusion.map_storage import MapStorage, Stored
 from trigpoint.fusion.model.known_cameras import KnownCameras
-from trigpoint.fusion.model.odometry import MOST_STANDING
+from trigpoint.fusion.model.odometry import MOST_STANDING, Readings
 from trigpoint.fusion.model.past import Past
 from trigpoint.geometry import Pose
 
@@ -35,12 +35,18 @@ def store(storage: MapStorage, node: str, *messages: Input) -> None:
         assert storage.store(key, cdr.encode(message), message) == 0
 
 
-def read(folder: Path, **known: tuple[str, ...]) -> list[object]:
+def read(folder: Path, **known: tuple[str, ...]) -> list[Stored]:
     """What a restart uses."""
     storage = opened(folder, **known)
-    messages = [storage.message(key, payload) for key, payload in storage.records()]
+    found = [stored for some in storage.read(64) for _, stored in some]
     storage.close()
-    return [message for message in messages if message is not None]
+    return found
+
+
+def stamps_of(found: list[Stored]) -> list[int]:
+    """The stamps of all that is used, in order."""
+    stamps = [s.stamps_ns.tolist() if isinstance(s, Readings) else [s.stamp_ns] for s in found]
+    return [stamp_ns for some in stamps for stamp_ns in some]
 
 
 def odometry(stamp_ns: int, x: float = 0.0) -> Odometry:
@@ -52,8 +58,12 @@ def test_what_was_stored_is_used_again_in_order(tmp_path: Path) -> None:
     store(storage, "r1", odometry(1), odometry(2, 0.1))
     store(storage, "c1", seen)
     storage.close()
-    stamps = [(type(message), message.stamp_ns) for message in read(tmp_path)]  # pyright: ignore[reportAttributeAccessIssue]
-    assert stamps == [(Odometry, 1), (Odometry, 2), (Sightings, 2)]
+    readings, sightings = read(tmp_path)
+    assert isinstance(readings, Readings)
+    assert isinstance(sightings, Sightings)
+    assert readings.stamps_ns.tolist() == [1, 2]
+    assert readings.odom_from_base.translation[:, 0].tolist() == [0.0, 0.1]
+    assert sightings.stamp_ns == 2
 
 
 def test_a_robot_that_the_site_file_lost_is_left_out(tmp_path: Path) -> None:
@@ -65,35 +75,34 @@ def test_a_robot_that_the_site_file_lost_is_left_out(tmp_path: Path) -> None:
 
 def test_a_checkpoint_of_another_site_is_refused(tmp_path: Path) -> None:
     storage = opened(tmp_path)
-    with pytest.raises(OperationError, match="another site"):
-        storage.message("hall/robot/r1/odom", cdr.encode(odometry(1)))
+    storage.store("hall/robot/r1/odom", cdr.encode(odometry(1)), odometry(1))
     storage.close()
+    with pytest.raises(OperationError, match="another site"):
+        read(tmp_path)
 
 
 @pytest.mark.parametrize("is_damaged", [False, True])
 def test_what_cannot_be_of_its_time_or_not_be_read_is_left_out(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, *, is_damaged: bool
 ) -> None:
-    storage = opened(tmp_path)
-    store(storage, "r1", odometry(1), odometry(SystemClock().now_ns() + 2 * AHEAD_NS, 0.1))
+    storage, key = opened(tmp_path), INPUT_TOPICS[Odometry].key(SITE.name, "r1")
+    ahead = odometry(SystemClock().now_ns() + 2 * AHEAD_NS, 0.1)
+    payload = cdr.encode(ahead)[: -1 if is_damaged else None]
+    store(storage, "r1", odometry(1))
+    storage.store(key, payload, ahead)
+    store(storage, "r1", odometry(2))
     storage.close()
-    storage = opened(tmp_path)
-    (key, first), (_, ahead) = storage.records()
-    assert storage.message(key, first) is not None
-    assert storage.message(key, ahead[:-1] if is_damaged else ahead) is None
+    assert stamps_of(read(tmp_path)) == [1, 2]
     assert "left out" in caplog.text
-    storage.close()
 
 
 def test_of_a_standstill_little_is_stored_and_its_end_too(tmp_path: Path) -> None:
     storage = opened(tmp_path)
     store(storage, "r1", *(odometry(to_ns(0.1 * i)) for i in range(1, 3 * MOST_STANDING)))
     storage.close()
-    found = read(tmp_path)
+    found = stamps_of(read(tmp_path))
     assert MOST_STANDING < len(found) < MOST_STANDING + 20
-    last = found[-1]
-    assert isinstance(last, Odometry)
-    assert last.stamp_ns == to_ns(0.1 * (3 * MOST_STANDING - 1))
+    assert found[-1] == to_ns(0.1 * (3 * MOST_STANDING - 1))
 
 
 def test_a_new_map_begins_empty_and_the_old_one_is_kept(tmp_path: Path) -> None:
@@ -102,7 +111,7 @@ def test_a_new_map_begins_empty_and_the_old_one_is_kept(tmp_path: Path) -> None:
     storage.restart()
     store(storage, "r1", odometry(7))
     storage.close()
-    assert [message.stamp_ns for message in read(tmp_path)] == [7]  # pyright: ignore[reportAttributeAccessIssue]
+    assert stamps_of(read(tmp_path)) == [7]
     assert (tmp_path / "checkpoint.1.bin").exists()
 
 

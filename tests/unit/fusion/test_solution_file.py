@@ -3,6 +3,8 @@
 import logging
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Event, Thread
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -22,11 +24,13 @@ from trigpoint.fusion.live.solver_messages import Solution
 from trigpoint.fusion.pipeline import Inputs, Pipeline
 from trigpoint.fusion.replaying import replayed
 from trigpoint.fusion.solution_file import SOLUTION, SolutionFile
+from trigpoint.node.watchdog import Watchdog
 
 Messages = tuple[tuple[str, Input], ...]
 PLANE = [0, 1, 5]
 NEVER = 10**9
 STOP_S = 10.0
+PATIENCE_S = 60.0
 NOW_NS = EPOCH_NS + to_ns(STOP_S)
 
 
@@ -80,7 +84,9 @@ def again(session: Session, solution: Solution | None, *, calls: int = NEVER) ->
 
 
 def stored(inputs: Inputs, folder: Path, killed: Pipeline) -> SolutionFile:
-    SolutionFile(folder, inputs).keep(killed)
+    file = SolutionFile(folder, inputs)
+    file.keep(killed)
+    file.write()
     return SolutionFile(folder, inputs)
 
 
@@ -206,8 +212,49 @@ def test_what_does_not_fit_is_not_used(
         assert file.load(killed.map_id, NOW_NS) is None
         assert "it is damaged" in caplog.text
         body = msgspec.msgpack.encode({"inputs": b"of an older version"})
-        save_checked(path, b"trigpoint-solution/1\n", body)
+        save_checked(path, whole[:21], len(body).to_bytes(8, "little"), body)
         assert file.load(killed.map_id, NOW_NS) is None
         assert "missing required field" in caplog.text
     path.unlink()
     assert file.load(killed.map_id, NOW_NS) is None
+
+
+def test_what_is_forgotten_is_not_written(
+    charuco: Session, killed: Pipeline, tmp_path: Path
+) -> None:
+    file = SolutionFile(tmp_path, charuco.inputs)
+    file.keep(killed)
+    file.forget()
+    file.write()
+    assert not (tmp_path / SOLUTION).exists()
+
+
+def test_nobody_waits_for_the_disk_and_the_last_solution_is_written(
+    charuco: Session, killed: Pipeline, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file, writing, goes_on = SolutionFile(tmp_path, charuco.inputs), Event(), Event()
+    pulse, stopping = Watchdog().pulse("keeps", within_s=PATIENCE_S), Event()
+
+    def slow(*arguments: Any, **options: Any) -> None:
+        writing.set()
+        assert goes_on.wait(PATIENCE_S)
+        save_checked(*arguments, **options)
+
+    monkeypatch.setattr("trigpoint.fusion.solution_file.save_checked", slow)
+    thread = Thread(target=file.run, args=(pulse, stopping))
+    thread.start()
+    file.keep(killed)
+    assert writing.wait(PATIENCE_S)
+    later = again(charuco, killed.reports.solution, calls=1)
+    later.finish()
+    while not later.reports.is_answered:
+        later.advance()
+    file.keep(later)
+    assert not (tmp_path / SOLUTION).exists()
+    stopping.set()
+    goes_on.set()
+    thread.join(PATIENCE_S)
+    found, solution = file.load(later.map_id, NOW_NS), later.reports.solution
+    assert found is not None
+    assert solution is not None
+    assert np.array_equal(found.solved.known.known.mean, solution.solved.known.known.mean)

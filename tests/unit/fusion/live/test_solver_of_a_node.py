@@ -26,6 +26,7 @@ from trigpoint.fusion.estimators.smoother.settled_past import Limits
 from trigpoint.fusion.inbox import INPUT_TOPICS
 from trigpoint.fusion.live.solver_messages import News, Report, Reported, Solver
 from trigpoint.fusion.live.solver_process import SolverProcess
+from trigpoint.fusion.map_storage import Stored
 from trigpoint.fusion.model.dataset import Event
 from trigpoint.fusion.node import FusionNode
 from trigpoint.fusion.pipeline import Inputs
@@ -218,11 +219,12 @@ def test_stop_while_a_checkpoint_is_read_leaves_everything_as_it_was(
     before = (tmp_path / "checkpoint.bin").read_bytes()
     take_again = FusionNode._take_again
 
-    def stopped(self: FusionNode, replay: Replay, key: str, payload: bytes) -> bool:
+    def stopped(self: FusionNode, replay: Replay, key: str, stored: Stored) -> int:
         self._node.stop()
-        return take_again(self, replay, key, payload)
+        return take_again(self, replay, key, stored)
 
     monkeypatch.setattr(FusionNode, "_take_again", stopped)
+    monkeypatch.setattr("trigpoint.fusion.node._READ_AT_ONCE", len(charuco.messages) // 3)
     with running(charuco.inputs, tmp_path, SlowSolver) as (fusion, node, _):
         until(node, node.stopping.is_set)
     fusion.finish()

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from trigpoint.base.clock import to_ns
 from trigpoint.fusion.model.motion import Motion
-from trigpoint.fusion.model.odometry import Added, OdometryTrack
+from trigpoint.fusion.model.odometry import MOST_STANDING, Added, OdometryTrack, Readings
 from trigpoint.geometry import Pose
 from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
@@ -388,3 +388,23 @@ def test_motion_is_the_same_where_what_lies_before_it_is_forgotten(planar: bool)
     np.testing.assert_allclose(mine.covariance, other.covariance, atol=1e-18)
     assert len(copied) == 60  # a copy keeps what it had
     assert copied.first_ns == stamps_ns[0]
+
+
+def test_messages_at_once_are_taken_as_one_after_the_other() -> None:
+    """With a standstill that is merged, jumps, gaps and messages that are not newer."""
+    random = np.random.default_rng(3)
+    steps = random.choice([0.0, 0.02, 30.0], size=4000, p=[0.2, 0.79, 0.01])
+    steps[1000 : 1100 + 2 * MOST_STANDING] = 0.0
+    apart_ns = random.choice([0, PERIOD_NS, 2 * 10**9], size=len(steps), p=[0.05, 0.94, 0.01])
+    stamps_ns, poses = np.cumsum(apart_ns), Pose.planar(np.cumsum(steps), 0.0, 0.0)
+    single, several = (OdometryTrack(NOISE, planar=True) for _ in range(2))
+    added = [single.add(int(ns), poses[row]) for row, ns in enumerate(stamps_ns)]
+    readings = Readings(stamps_ns, poses)
+    some = [several.add_run(readings[row : row + 37]) for row in range(0, len(steps), 37)]
+    assert [each for outcome in some for each in outcome] == added
+    assert set(added) == set(Added)
+    assert len(several) == len(single) < len(steps) - MOST_STANDING
+    assert several.jump_steps == single.jump_steps
+    assert several.reported.rows().tobytes() == single.reported.rows().tobytes()
+    for mine, other in zip(several._tables, single._tables, strict=True):
+        assert mine.tobytes() == other.tobytes()

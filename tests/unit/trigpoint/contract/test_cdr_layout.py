@@ -18,6 +18,7 @@ from trigpoint.contract.cdr import (
 from trigpoint.contract.cdr_writing import quickly_written
 from trigpoint.contract.messages import (
     CAMERA_INFO,
+    ODOMETRY,
     SIGHTINGS,
     CameraInfo,
     FaceSighting,
@@ -180,3 +181,30 @@ def test_too_many_faces_are_refused_before_one_is_read() -> None:
 def test_name_of_a_megabyte_is_refused() -> None:
     with pytest.raises(MessageError, match="bytes of a name"):
         decode(SIGHTINGS, encode(Sightings(1, "x" * 1_000_000, 640, 480, ())))
+
+
+@settings(max_examples=100)
+@given(st.lists(st.tuples(stamps, poses, vectors), min_size=1, max_size=9), names, names)
+def test_messages_of_one_robot_are_read_at_once_as_each(
+    drawn: list[tuple[int, Pose, np.ndarray]], frame: str, child: str
+) -> None:
+    payloads = [encode(Odometry(ns, frame, child, pose, v, v)) for ns, pose, v in drawn]
+    read = cdr_layout.odometry_run(payloads)
+    assert read is not None
+    stamps_ns, found = read
+    each = [decode(ODOMETRY, payload) for payload in payloads]
+    assert stamps_ns.tolist() == [message.stamp_ns for message in each]  # pyright: ignore[reportAttributeAccessIssue]
+    expected = Pose.stack([message.pose for message in each])  # pyright: ignore[reportAttributeAccessIssue]
+    assert found.rows().tobytes() == expected.rows().tobytes()
+
+
+@settings(max_examples=100)
+@given(odometry, odometry, st.data())
+def test_run_with_a_message_that_is_not_sound_is_left_to_each(
+    first: Odometry, second: Odometry, data: st.DataObject
+) -> None:
+    payloads = [encode(first), bytearray(encode(second))]
+    payloads[1][data.draw(st.integers(0, len(payloads[1]) - 1))] = data.draw(st.integers(0, 255))
+    is_sound = all(cdr_layout.odometry(bytes(each)) is not None for each in payloads)
+    read = cdr_layout.odometry_run([bytes(each) for each in payloads])
+    assert read is None or is_sound
