@@ -11,6 +11,7 @@ from trigpoint.fusion.model.observations import Observation, View, face_points, 
 from trigpoint.fusion.reading.planar_pose import PoseFit, planar_poses
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
+from trigpoint.geometry.samples import median
 from trigpoint.native.library import In, Kernel, Out
 from trigpoint.site.target import Target
 
@@ -91,7 +92,7 @@ def by_itself(view: View, lens: CameraModel, target: Target, events: Events) -> 
     if len(left) >= _LEAST_CORNERS:
         # Half of all distances from the mean are beyond √(2 ln 2) σ; the fit takes three corners.
         share = 1 - 3 / len(left)
-        middle = float(np.median(left)) / (2 * math.log(2) * share)
+        middle = median(left) / (2 * math.log(2) * share)
         kept = left[left < events.wild_score * middle]
         scatter = float(np.mean(kept)) / (2 * share)
     return Alone(score + events.wrong_limit, score, scatter, wild)
