@@ -325,6 +325,7 @@ class FusionNode:
                 if self._pipeline is not pipeline:
                     return True  # reset
                 count += sum(self._take_again(replay, *record) for record in records)
+                replay.flush()
                 aside += self._arrived()
         with self._lock:
             if self._pipeline is pipeline:

@@ -5,6 +5,7 @@ node feeds it from the bus, `calibrate` from a recording.
 """
 
 from collections import Counter
+from collections.abc import Sequence
 from uuid import UUID
 
 from msgspec.structs import replace
@@ -161,12 +162,11 @@ class Pipeline:
     def push(self, node: str, message: Message) -> bool:
         """Take a message of a camera or robot; one that is not in the site file is counted.
 
-        Returns whether it may add to the map: without the messages that do not, the map is the
-        same.
+        Returns whether it may add to the map, which is the same without the messages that do not.
         """
-        self.arrivals.add(node, message)
         if isinstance(message, Odometry) and node in self.site.robots:
-            return self._push_odometry(node, message)
+            return self.push_odometry(node, [message])
+        self.arrivals.add(node, message)
         if isinstance(message, Sightings) and node in self.site.cameras:
             return self._push_sightings(node, message)
         if isinstance(message, CameraInfo) and node in self.site.cameras:
@@ -178,15 +178,15 @@ class Pipeline:
         )
         return False
 
-    def _push_odometry(self, robot: str, message: Odometry) -> bool:
-        added = self._estimator.add_odometry(robot, message.stamp_ns, message.pose)
-        if added is Added.STALE:
-            self._left_out.add("stale_odometry")
-            self._stale_ns[robot] = self._data.tracks[robot].last_ns - message.stamp_ns
+    def push_odometry(self, robot: str, messages: Sequence[Odometry]) -> bool:
+        """`push` messages of a robot of the site, one after the other; as the last one returns."""
+        found = self._estimator.add_odometry(robot, *self.arrivals.odometry(robot, messages))
+        for outcome in set(found) - {Added.TAKEN}:
+            self._left_out.add(outcome.value, count=found.count(outcome))
+        if found[-1] is Added.STALE:
+            self._stale_ns[robot] = self._data.tracks[robot].last_ns - messages[-1].stamp_ns
             return False
         self._stale_ns.pop(robot, None)
-        if added is Added.JUMP:
-            self._left_out.add("odometry_jumps")
         if self._is_live and (estimate := self._estimator.robot(robot)) is not None:
             odom_from_base = self._data.tracks[robot].reported
             self._outputs += self._robots.place(

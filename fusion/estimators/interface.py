@@ -63,7 +63,9 @@ class Trajectory(Struct, frozen=True):
 class Live(Protocol):
     """Odometry and observations in, the robots' and the cameras' poses out. Not thread-safe."""
 
-    def add_odometry(self, robot: str, stamp_ns: int, odom_from_base: Pose) -> Added: ...
+    def add_odometry(self, robot: str, stamps_ns: np.ndarray, odom_from_base: Pose) -> list[Added]:
+        """Take messages (m) of a robot, one after the other; what became of each."""
+        ...
 
     def add_observation(self, observation: Observation) -> Update:
         """Take an observation whose moment odometry covers, in any order. One that repeats others

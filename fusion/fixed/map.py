@@ -8,6 +8,8 @@ sighting do not depend on how long that goes on.
 from collections import Counter
 from collections.abc import Callable
 
+import numpy as np
+
 from trigpoint.base.clock import to_ns
 from trigpoint.base.words import counted
 from trigpoint.fusion.estimators.interface import CameraEstimate, Trajectory, Update
@@ -47,11 +49,11 @@ class FixedMap:
 
     # -- input ------------------------------------------------------------------------------------
 
-    def add_odometry(self, robot: str, stamp_ns: int, odom_from_base: Pose) -> Added:
+    def add_odometry(self, robot: str, stamps_ns: np.ndarray, odom_from_base: Pose) -> list[Added]:
         track = self.data.tracks[robot]
-        added = track.add(stamp_ns, odom_from_base)
-        if added is not Added.STALE:
-            self._widen(stamp_ns)
+        added = track.extend(stamps_ns, odom_from_base)
+        if added[-1] is not Added.STALE:
+            self._widen(track.last_ns)
         if len(track) > MOST_ODOMETRY:
             self._forget_odometry(robot)
         return added

@@ -4,15 +4,17 @@ Pictures and odometry by two clocks show in times that never overlap. Pure: no b
 """
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 
+import numpy as np
 from msgspec import Struct, structs
 
 from trigpoint.base.clock import to_ns, to_seconds
 from trigpoint.base.words import counted
 from trigpoint.contract.messages import Mended, Message, Odometry, Sightings
 from trigpoint.fusion.model.odometry import OdometryTrack
+from trigpoint.geometry import Pose
 from trigpoint.map.network import Network
 from trigpoint.site.config import Site
 
@@ -70,11 +72,17 @@ class Arrivals:
 
     def add(self, node: str, message: Message) -> None:
         """Note a message of a camera or robot."""
-        if isinstance(message, Odometry | Sightings) and message.mended:
+        if isinstance(message, Odometry | Sightings):
             self._mended.update((node, lack) for lack in message.mended)
         if isinstance(message, Sightings) and message.faces and node in self._tolerance_ns:
             span, stamp_ns = self.seen.get(node), message.stamp_ns
             self.seen[node] = span.with_stamp(stamp_ns) if span else Span(stamp_ns, stamp_ns)
+
+    def odometry(self, robot: str, messages: Sequence[Odometry]) -> tuple[np.ndarray, Pose]:
+        """Note messages (m) of a robot; their stamps (m,) and poses (m)."""
+        self._mended.update((robot, lack) for message in messages for lack in message.mended)
+        stamps_ns = np.array([message.stamp_ns for message in messages], dtype=np.int64)
+        return stamps_ns, Pose.stack([message.pose for message in messages])
 
     @property
     def notes(self) -> list[str]:

@@ -10,6 +10,7 @@ corrections. So no turn takes long, and late sightings enter the new filter as w
 from collections import deque
 from collections.abc import Callable, Iterator
 
+import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 from numpy.linalg import LinAlgError
@@ -26,6 +27,7 @@ from trigpoint.fusion.model.odometry import Added
 from trigpoint.fusion.solver.filter import RobotEstimate
 from trigpoint.fusion.solver.snapshot import GuidanceWorld
 from trigpoint.geometry import Pose
+from trigpoint.geometry.pose import rows_of
 
 from .solver_messages import (
     Covered,
@@ -76,7 +78,7 @@ class Follower:
         self._coming: _Coming | None = None
         self._orders: list[Order] = []
         # By robot, what came after these orders. A message by itself takes 20 µs to be packed.
-        self._odometry: dict[str, list[tuple[int, Pose]]] = {}
+        self._odometry: dict[str, list[tuple[np.ndarray, Pose]]] = {}
         self._recent: list[_Recent] = []
         self._lenses: set[str] = set()
         self._told = 0
@@ -92,10 +94,11 @@ class Follower:
 
     # -- input ------------------------------------------------------------------------------------
 
-    def add_odometry(self, robot: str, stamp_ns: int, odom_from_base: Pose) -> Added:
-        added = self.data.tracks[robot].add(stamp_ns, odom_from_base)
-        if added is not Added.STALE:
-            self._odometry.setdefault(robot, []).append((stamp_ns, odom_from_base))
+    def add_odometry(self, robot: str, stamps_ns: np.ndarray, odom_from_base: Pose) -> list[Added]:
+        added = self.data.tracks[robot].extend(stamps_ns, odom_from_base)
+        taken = np.array([outcome is not Added.STALE for outcome in added])
+        if taken.any():
+            self._odometry.setdefault(robot, []).append((stamps_ns[taken], odom_from_base[taken]))
         self._current.begin(robot)
         return added
 
@@ -216,8 +219,9 @@ class Follower:
     def _order(self, *orders: Order) -> None:
         """Give orders, behind the odometry that came before them."""
         for robot, readings in self._odometry.items():
-            stamps_ns, poses = zip(*readings, strict=True)
-            self._orders.append(TakeOdometry(robot, stamps_ns, Pose.stack(list(poses))))
+            stamps_ns = np.concatenate([stamps_ns for stamps_ns, _ in readings])
+            poses = Pose.from_rows(rows_of(poses for _, poses in readings))
+            self._orders.append(TakeOdometry(robot, stamps_ns, poses))
         self._odometry.clear()
         self._orders += orders
 

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import Protocol
 
+import numpy as np
 from msgspec import Struct
 
 from trigpoint.contract.messages import OccupancyGrid
@@ -27,7 +28,7 @@ class TakeOdometry(Struct, frozen=True):
     """A robot's odometry messages, as they were taken: stamps (n,) and poses (n)."""
 
     robot: str
-    stamps_ns: tuple[int, ...]
+    stamps_ns: np.ndarray
     odom_from_base: Pose
 
 

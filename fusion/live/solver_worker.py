@@ -42,8 +42,7 @@ class SolverWorker:
         if isinstance(order, TakeLens):
             self._data.lenses[order.camera] = order.lens
         elif isinstance(order, TakeOdometry):
-            for row, stamp_ns in enumerate(order.stamps_ns):
-                self._smoother.add_odometry(order.robot, stamp_ns, order.odom_from_base[row])
+            self._smoother.add_odometry(order.robot, order.stamps_ns, order.odom_from_base)
         elif isinstance(order, TakeObservation):
             yield from self._take(order)
         elif isinstance(order, TakeMove):

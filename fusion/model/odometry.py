@@ -13,7 +13,7 @@ from enum import Enum
 import numpy as np
 from numpy.linalg import LinAlgError
 
-from trigpoint.base.clock import NANOSECONDS, to_ns
+from trigpoint.base.clock import to_ns
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.site.config import OdometryNoise
@@ -50,15 +50,24 @@ MOST_STANDING = 1024
 # A robot that turns also slips sideways, which the contract's model leaves out: with no translation
 # reported there would be no translation noise at all, and real robots contradict that.
 SLIP = 0.001  # m per √rad
+_LIMITS = np.array(
+    [LONGEST_GAP_S, _GAP_PERIODS, _GAP_SHARE, MAXIMUM_SPEED, MAXIMUM_TURN_RATE, _ALLOWANCE]
+)
 _ARRAYS = ("_stamps", "_rotations", "_translations", "_twists", "_jumps", "_gaps")
 
 
 class Added(Enum):
-    """The outcome of adding an odometry message."""
+    """The outcome of adding an odometry message: taken; left out, since it is not newer than the
+    last one; or taken, but it jumps or comes after a gap, so that the motion before it is unknown.
+    The value is the reason by which it is counted."""
 
-    TAKEN = "taken"
-    STALE = "not newer than the last one"
-    JUMP = "taken, but it jumps or comes after a gap: the motion before it is unknown"
+    TAKEN = ""
+    STALE = "stale_odometry"
+    JUMP = "odometry_jumps"
+
+
+_OUTCOMES = tuple(Added)
+_JUMP = _OUTCOMES.index(Added.JUMP)
 
 
 class OdometryTrack:
@@ -126,48 +135,21 @@ class OdometryTrack:
 
         Once the robot has stood for long, the last message is moved on instead.
         """
-        row = self._count
-        if row and stamp_ns <= self.last_ns:
-            return Added.STALE
-        self._grow()
-        tables = self._rotations, self._translations, self._twists
-        self.reported, is_still, length_m, angle_rad = self._rest.add_to_track(
-            stamp_ns, odom_from_base, row, tables
-        )
-        self._stamps[row] = stamp_ns
-        self._count = row + 1
-        if not row:
-            return Added.TAKEN
-        period_ns = stamp_ns - self._stamps.item(row - 1)
-        is_jump = self._is_jump(row, length_m, angle_rad, period_ns / NANOSECONDS)
-        if is_jump:
-            self._twists[row] = 0.0
-            self._jumps[row] = True
-            self._jump_rows.append(row)
-        self._period_ns = period_ns
-        self._standing = self._standing + 1 if is_still and not is_jump else 0
-        if self._standing > MOST_STANDING:
-            self._merge(row)
-        return Added.JUMP if is_jump else Added.TAKEN
+        rotation, translation = odom_from_base.rotation[None], odom_from_base.translation[None]
+        return self.extend(np.array([stamp_ns]), Pose(rotation, translation))[0]
 
-    def _is_jump(self, row: int, length_m: float, angle_rad: float, seconds: float) -> bool:
-        """Whether the motion in a step is unknown; notes what may have been driven unseen in it."""
-        usual = self._period_ns / NANOSECONDS
-        if row > 1 and seconds > max(LONGEST_GAP_S, _GAP_PERIODS * usual):
-            # If it went on at its speed, the ends are known but not the path between them;
-            # if it came much less far, its counters missed some motion or it drove about.
-            reach = float(np.linalg.norm(self._twists[row - 1, :3])) / usual * seconds
-            self._gaps[row] = max(reach, length_m, _ALLOWANCE)
-            if length_m < _GAP_SHARE * reach - _ALLOWANCE:
-                return True
-        is_far = length_m > MAXIMUM_SPEED * seconds + _ALLOWANCE
-        return is_far or angle_rad > MAXIMUM_TURN_RATE * seconds + _ALLOWANCE
-
-    def _merge(self, row: int) -> None:
-        """Merge the last message with the one before it, where the robot stood in both steps."""
-        if row > 1 and self._stands(row) and self._stands(row - 1):
-            self._stamps[row - 1] = self._stamps[row]
-            self._count = row
+    def extend(self, stamps_ns: np.ndarray, odom_from_base: Pose) -> list[Added]:
+        """`add` messages (m), one after the other."""
+        first = self._count
+        self._grow(first + len(stamps_ns))
+        state = np.array([first, self._period_ns, self._standing])
+        self.reported = Pose(self.reported.rotation.copy(), self.reported.translation.copy())
+        track = state, MOST_STANDING, _LIMITS, *(getattr(self, name) for name in _ARRAYS)
+        outcomes = self._rest.add_to_track(stamps_ns, odom_from_base, self.reported, track)
+        self._count, self._period_ns, self._standing = state.tolist()
+        if (found := outcomes.tolist()) and max(found) == _JUMP:
+            self._jump_rows += (first + np.flatnonzero(self._jumps[first : self._count])).tolist()
+        return [_OUTCOMES[outcome] for outcome in found]
 
     def _stands(self, row: int) -> bool:
         """Whether the robot is known not to have moved in the step that ends at a row."""
@@ -279,12 +261,11 @@ class OdometryTrack:
             self._jumps[row] = True
             bisect.insort(self._jump_rows, row)
 
-    def _grow(self) -> None:
-        if self._count < len(self._stamps):
-            return
-        for name in _ARRAYS:
-            array = getattr(self, name)
-            setattr(self, name, np.concatenate([array, np.zeros_like(array)]))
+    def _grow(self, count: int) -> None:
+        while count > len(self._stamps):
+            for name in _ARRAYS:
+                array = getattr(self, name)
+                setattr(self, name, np.concatenate([array, np.zeros_like(array)]))
 
     def carried(self, stamps_ns: np.ndarray, seconds: Array, scales: Array) -> tuple[Pose, Array]:
         """The robot's motion from moments (n,) during seconds (n,), backwards where negative.

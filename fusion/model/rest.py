@@ -41,16 +41,14 @@ class Rest(Handle):
         return found
 
     def add_to_track(
-        self, stamp_ns: int, pose: Pose, row: int, tables: tuple[Array, Array, Array]
-    ) -> tuple[Pose, bool, float, float]:
-        """Set a row of a track's `tables`, its rotations (n, 3, 3), translations (n, 3) and twists
-        (n, 6) from row to row. The pose as it was reported, and of the step from the row before:
-        whether it is without motion, its length (m) and angle (rad)."""
-        reported, measures = Pose(np.empty((3, 3)), np.empty(3)), np.empty(2)
-        given = self, self.planar, stamp_ns, *_parts(pose), *_parts(reported)
-        is_still = bool(_ADDED_TO_TRACK(*given, row, *tables, measures))
-        length_m, angle_rad = measures.tolist()
-        return reported, is_still, length_m, angle_rad
+        self, stamps_ns: np.ndarray, poses: Pose, last: Pose, track: tuple[np.ndarray | int, ...]
+    ) -> np.ndarray:
+        """Append messages (m) to a `track`, as `OdometryTrack.add` gives it; what became of each
+        (m,). `last`: is set to the last pose that is taken, as it was reported."""
+        outcomes = np.empty(len(stamps_ns), _WHOLE)
+        given = self, self.planar, np.ascontiguousarray(stamps_ns), *_parts(poses), *_parts(last)
+        _ADDED_TO_TRACK(*given, *track[:3], outcomes, *track[3:])
+        return outcomes
 
 
 _REAL, _WHOLE = np.float64, np.int64
@@ -58,8 +56,11 @@ _POSE = In(_REAL, (3, 3)), In(_REAL, (3,))
 _FOUND = Out(_REAL, (3, 3)), Out(_REAL, (3,))
 _ADDED = Kernel("tp_rest_added", Rest, int, int, *_POSE, *_FOUND)
 _ADDED_TO_TRACK = Kernel(
-    *("tp_odometry_added", Rest, int, int, *_POSE, *_FOUND, int),
-    *(Out(_REAL, ("n", 3, 3)), Out(_REAL, ("n", 3)), Out(_REAL, ("n", 6)), Out(_REAL, (2,))),
+    *("tp_odometry_added", Rest, int, In(_WHOLE, ("m",))),
+    *(In(_REAL, ("m", 3, 3)), In(_REAL, ("m", 3)), *_FOUND),
+    *(Out(_WHOLE, (3,)), int, In(_REAL, (6,)), Out(_WHOLE, ("m",))),
+    *(Out(_WHOLE, ("n",)), Out(_REAL, ("n", 3, 3)), Out(_REAL, ("n", 3))),
+    *(Out(_REAL, ("n", 6)), Out(np.bool_, ("n",)), Out(_REAL, ("n",))),
 )
 _SAVED = Kernel("tp_rest_saved", Rest, Out(_WHOLE, ("n",)))
 _RESTORED = Kernel("tp_rest_restored", Rest, In(_WHOLE, ("n",)))

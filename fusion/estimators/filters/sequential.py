@@ -45,8 +45,8 @@ class SequentialEstimator:
 
     # -- input ------------------------------------------------------------------------------------
 
-    def add_odometry(self, robot: str, stamp_ns: int, odom_from_base: Pose) -> Added:
-        added = self.data.tracks[robot].add(stamp_ns, odom_from_base)
+    def add_odometry(self, robot: str, stamps_ns: np.ndarray, odom_from_base: Pose) -> list[Added]:
+        added = self.data.tracks[robot].extend(stamps_ns, odom_from_base)
         if self._replay is None and (robot == self.data.anchored_robot or self.data.known.poses):
             self._replay = Replay(self.data, self._origin)
         return added

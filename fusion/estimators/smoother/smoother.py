@@ -58,8 +58,8 @@ class Smoother:
 
     # -- input ------------------------------------------------------------------------------------
 
-    def add_odometry(self, robot: str, stamp_ns: int, odom_from_base: Pose) -> Added:
-        added = self.data.tracks[robot].add(stamp_ns, odom_from_base)
+    def add_odometry(self, robot: str, stamps_ns: np.ndarray, odom_from_base: Pose) -> list[Added]:
+        added = self.data.tracks[robot].extend(stamps_ns, odom_from_base)
         self._current.begin(robot)
         return added
 

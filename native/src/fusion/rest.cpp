@@ -239,11 +239,95 @@ Step spatial_step(const Pose& motion) {
     return step;
 }
 
-// The pose that is given as a rotation and a translation, in the plane where the robot is.
-Pose reported(bool is_planar, const Argument* at) {
-    const Pose pose = pose_at(at[0].array.as<double>(), at[1].array.as<double>(), 0);
+// The row of poses that are given as rotations and translations, in the plane where the robot is.
+Pose reported(bool is_planar, const Argument* at, Eigen::Index row) {
+    const Pose pose = pose_at(at[0].array.as<double>(), at[1].array.as<double>(), row);
     return is_planar ? in_plane(pose) : pose;
 }
+
+// What became of a message, as `Added` of `odometry.py` has it in this order.
+enum Outcome : std::int64_t { TAKEN, STALE, JUMP };
+
+// A robot's odometry so far, in the tables of `OdometryTrack`.
+class Track {
+public:
+    explicit Track(const Argument* given)
+        : state_(given[7].array.as<std::int64_t>()),
+          most_standing_(given[8].whole),
+          limits_(given[9].array.as<double>()),
+          stamps_(given[11].array.as<std::int64_t>()),
+          rotations_(given[12].array.as<double>()),
+          translations_(given[13].array.as<double>()),
+          twists_(given[14].array.as<double>()),
+          jumps_(given[15].array.as<bool>()),
+          gaps_(given[16].array.as<double>()) {
+        if (state_[0] < 0 || state_[0] > given[11].array.shape[0] - given[2].array.shape[0])
+            throw std::out_of_range("more messages than the track has room for");
+    }
+
+    bool is_newer(std::int64_t stamp_ns) const {
+        return state_[0] == 0 || stamp_ns > stamps_[state_[0] - 1];
+    }
+
+    // Appends a message with the motion from the one before. Once the robot has stood for long, the
+    // last message is moved on instead.
+    Outcome add(std::int64_t stamp_ns, const Pose& pose, bool is_planar) {
+        const std::int64_t row = state_[0]++;
+        put_pose(pose, rotations_, translations_, row);
+        stamps_[row] = stamp_ns;
+        if (row == 0) return TAKEN;
+        const Pose motion = pose_at(rotations_, translations_, row - 1).inverse().times(pose);
+        const Step step = is_planar ? planar_step(motion) : spatial_step(motion);
+        twist(row) = step.twist;
+        const std::int64_t period_ns = stamp_ns - stamps_[row - 1];
+        const bool is_still = is_small(row),
+                   is_jump = jumps(row, step, SECONDS * static_cast<double>(period_ns));
+        if (is_jump) {
+            twist(row).setZero();
+            jumps_[row] = true;
+        }
+        state_[1] = period_ns;
+        state_[2] = is_still && !is_jump ? state_[2] + 1 : 0;
+        if (state_[2] > most_standing_ && row > 1 && stands(row) && stands(row - 1)) {
+            stamps_[row - 1] = stamp_ns;
+            state_[0] = row;
+        }
+        return is_jump ? JUMP : TAKEN;
+    }
+
+private:
+    Eigen::Map<Vector6d> twist(std::int64_t row) const {
+        return Eigen::Map<Vector6d>(twists_ + 6 * row);
+    }
+    bool is_small(std::int64_t row) const { return (twist(row).array().abs() < STILL).all(); }
+
+    // Whether the robot is known not to have moved in the step that ends at a row.
+    bool stands(std::int64_t row) const { return !jumps_[row] && gaps_[row] == 0 && is_small(row); }
+
+    // Whether the motion in a step is unknown; notes what may have been driven unseen in it. After
+    // a gap, if it went on at its speed, the ends are known but not the path between them; if it
+    // came much less far, its counters missed some motion or it drove about.
+    bool jumps(std::int64_t row, const Step& step, double seconds) const {
+        const double longest = limits_[0], periods = limits_[1], share = limits_[2],
+                     speed = limits_[3], turn_rate = limits_[4], allowance = limits_[5];
+        const double usual = SECONDS * static_cast<double>(state_[1]);
+        if (row > 1 && seconds > std::max(longest, periods * usual)) {
+            const double reach = twist(row - 1).head<3>().norm() / usual * seconds;
+            gaps_[row] = std::max({reach, step.length, allowance});
+            if (step.length < share * reach - allowance) return true;
+        }
+        return step.length > speed * seconds + allowance ||
+               step.angle > turn_rate * seconds + allowance;
+    }
+
+    std::int64_t* state_;  // how many messages; the last step, ns; how many stood since it moved
+    const std::int64_t most_standing_;
+    const double* limits_;
+    std::int64_t* stamps_;
+    double *rotations_, *translations_, *twists_;
+    bool* jumps_;
+    double* gaps_;
+};
 
 }  // namespace
 
@@ -253,35 +337,36 @@ TRIGPOINT_OBJECT(tp_rest, Rest)
 // (3,), found pose as these): whether the robot trembles.
 TRIGPOINT_KERNEL(tp_rest_added) {
     Rest& rest = *static_cast<Rest*>(arguments[0].object);
-    const Pose pose = reported(arguments[1].whole, arguments + 3);
+    const Pose pose = reported(arguments[1].whole, arguments + 3, 0);
     const Pose found = rest.added(arguments[2].whole, pose);
     put_pose(found, arguments[5].array.as<double>(), arguments[6].array.as<double>(), 0);
     return rest.trembles();
 }
 
-// (the rest, whether the robot is in the plane, stamp, pose as rotation (3, 3) and translation
-// (3,), reported pose as these, row, rotations (n, 3, 3), translations (n, 3) and twists (n, 6) of
-// a track, length and angle (2,)): sets a row of the track, with the motion from the row before;
-// whether there was none.
+// (the rest, whether the robot is in the plane, stamps (m,), poses as rotations (m, 3, 3) and
+// translations (m, 3), last reported pose as these, [count, period, standing] of the track, most
+// that stand, limits (6,), outcomes (m,), the track's stamps (n,), rotations, translations, twists
+// (n, 6), jumps and gaps): appends the messages to the track; how many were not newer.
 TRIGPOINT_KERNEL(tp_odometry_added) {
     Rest& rest = *static_cast<Rest*>(arguments[0].object);
-    const std::int64_t row = arguments[7].whole;
-    const Array &rotations = arguments[8].array, &translations = arguments[9].array;
-    if (row < 0 || row >= rotations.shape[0]) throw std::out_of_range("a row beyond the track");
-    const Pose said = reported(arguments[1].whole, arguments + 3);
-    put_pose(said, arguments[5].array.as<double>(), arguments[6].array.as<double>(), 0);
-    const Pose pose = rest.added(arguments[2].whole, said);
-    put_pose(pose, rotations.as<double>(), translations.as<double>(), row);
-    double* measures = arguments[11].array.as<double>();
-    measures[0] = measures[1] = 0;
-    if (row == 0) return 1;
-    const Pose motion =
-        pose_at(rotations.as<double>(), translations.as<double>(), row - 1).inverse().times(pose);
-    const Step step = arguments[1].whole ? planar_step(motion) : spatial_step(motion);
-    Eigen::Map<Vector6d>(arguments[10].array.as<double>() + 6 * row) = step.twist;
-    measures[0] = step.length;
-    measures[1] = step.angle;
-    return (step.twist.array().abs() < STILL).all();
+    const bool is_planar = arguments[1].whole;
+    const Array& given = arguments[2].array;
+    const Argument* poses = arguments + 3;
+    Track track(arguments);
+    auto* outcomes = arguments[10].array.as<std::int64_t>();
+    std::int64_t stale = 0;
+    for (Eigen::Index i = 0; i < given.shape[0]; ++i) {
+        const std::int64_t stamp_ns = given.as<std::int64_t>()[i];
+        if (!track.is_newer(stamp_ns)) {
+            outcomes[i] = STALE;
+            ++stale;
+            continue;
+        }
+        const Pose said = reported(is_planar, poses, i);
+        put_pose(said, arguments[5].array.as<double>(), arguments[6].array.as<double>(), 0);
+        outcomes[i] = track.add(stamp_ns, rest.added(stamp_ns, said), is_planar);
+    }
+    return stale;
 }
 
 // (the rest, cells (n,)): how many cells hold it; they are written where they suffice.
