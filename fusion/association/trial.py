@@ -104,8 +104,7 @@ class Pictures:
         self.room = events.room_variances
         ends_ns = np.array([observations[0].stamp_ns, observations[-1].stamp_ns])
         since_epoch_s = data.since_epoch_s(ends_ns)
-        self._first_s = float(since_epoch_s[0])
-        self._furthest_s = float(np.abs(since_epoch_s).max())
+        self._first_s, self._furthest_s = since_epoch_s[:1], float(np.abs(since_epoch_s).max())
         self._tables: list[Tables] = []
 
     def split(self, flags: np.ndarray) -> list[np.ndarray]:
@@ -149,7 +148,7 @@ class Pictures:
             problem_tables(assembled.problem, assembled.start),
             view_tables(self._moving(camera)),
             rows,
-            float(camera.offset_s(self._first_s)),
+            camera.offset_s(self._first_s).item(),
         )
 
     def _moving(self, camera: CameraState) -> list[View]:
