@@ -327,6 +327,7 @@ class FusionNode:
                 if self._pipeline is not pipeline:
                     return True  # reset
                 count += sum(self._take_again(replay, *each) for each in some)
+                replay.flush()
                 aside += self._arrived()
         with self._lock:
             if self._pipeline is pipeline:

@@ -166,7 +166,7 @@ class Pipeline:
         """
         self.arrivals.add(node, message)
         if isinstance(message, Odometry) and node in self.site.robots:
-            return self.push_readings(node, Readings.of(message.stamp_ns, message.pose))
+            return self.push_readings(node, Readings.of([message]))
         if isinstance(message, Sightings) and node in self.site.cameras:
             return self._push_sightings(node, message)
         if isinstance(message, CameraInfo) and node in self.site.cameras:

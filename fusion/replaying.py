@@ -10,15 +10,22 @@ from .pipeline import Pipeline
 
 class Replay:
     """Messages in order, through a pipeline that is not live. It works as though at each reading
-    of odometry, but only where that has anything to do. Nothing is sent, and the end is left to
-    `finish` or `resumed`."""
+    of odometry, but only where that has anything to do; readings between are taken at once, by the
+    next message that is none, or by `flush`. Nothing is sent, and the end is left to `finish` or
+    `resumed`."""
 
     def __init__(self, pipeline: Pipeline) -> None:
         self._pipeline = pipeline
         self._has_more = False  # than odometry, since the pipeline was last at work
+        self._put_off: dict[str, list[Odometry]] = {}
 
     def take(self, node: str, message: Message | Readings) -> None:
         """Take the next message of a camera or robot, or some of a robot's odometry."""
+        is_odometry = isinstance(message, Odometry) and node in self._pipeline.site.robots
+        if is_odometry and not self._has_work(node):
+            self._put_off.setdefault(node, []).append(message)
+            return
+        self.flush()
         if isinstance(message, Readings):
             self._take_readings(node, message)
             return
@@ -27,6 +34,14 @@ class Replay:
             self._work(node)
         else:
             self._has_more = True
+
+    def flush(self) -> None:
+        """Take the readings that were put off."""
+        for robot, messages in self._put_off.items():
+            for message in messages:
+                self._pipeline.arrivals.add(robot, message)
+            self._pipeline.push_readings(robot, Readings.of(messages))
+        self._put_off.clear()
 
     def _take_readings(self, robot: str, readings: Readings) -> None:
         """One after the other while there is anything to do, and then all at once."""
@@ -53,4 +68,5 @@ def replayed(pipeline: Pipeline, messages: Iterable[tuple[str, Message]]) -> Pip
     replay = Replay(pipeline)
     for node, message in messages:
         replay.take(node, message)
+    replay.flush()
     return pipeline

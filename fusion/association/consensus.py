@@ -20,6 +20,7 @@ from trigpoint.fusion.reading.faces import are_same_pose
 from trigpoint.fusion.reading.views import BODY, VIEWS, body_tables, patterns, view_tables
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
+from trigpoint.geometry.samples import unique
 from trigpoint.native.library import In, Kernel, Out
 
 from .events import Events
@@ -145,7 +146,7 @@ def start_costs(
 def _seeds(ways: Ways) -> np.ndarray:
     """Return the rows (s,) of the ways to read at most `MOST_SEEDS` sightings, spread over the
     visit."""
-    sightings = np.unique(ways.sighting)
+    sightings = unique(ways.sighting)
     sightings = sightings[thinned(len(sightings), MOST_SEEDS)]
     return np.flatnonzero(np.isin(ways.sighting, sightings))
 

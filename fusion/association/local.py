@@ -26,6 +26,7 @@ from .trial import Ending, Pictures, Trial, Work
 _MOST_ROUNDS = 10
 _PATIENCE = 2
 _ROUND = Work.READ | Work.SOLVE | Work.JUDGE
+_FIRST = _ROUND | Work.ROBUST
 Flag = TypeVar("Flag")
 
 
@@ -47,7 +48,9 @@ class LocalProblem:
     ) -> None:
         self.data, self.observations, self.events = data, observations, events
         self.poses = Pose.stack([poses[index] for index in observations])
-        self.wrong_scores = wrong_scores
+        scores = [score for index in observations for score in wrong_scores.get(index, ())]
+        self._wrong_scores = np.array(scores, dtype=float)
+        self._log_priors: tuple[float, float] | None = None  # the same for every mode
         self.budget = budget if budget is not None else Budget()
         self._corners = sum(observation.corner_count for observation in observations.values())
         self._pictures = Pictures(data, list(observations.values()), events)
@@ -68,7 +71,7 @@ class LocalProblem:
         seen, is_settled = set[tuple[bytes, ...]](), False
         for round_ in range(_MOST_ROUNDS):
             if round_ == 0:
-                ending = self._gone_on(trial, _ROUND | Work.ROBUST, huber=HUBER_SIGMAS)
+                ending = self._gone_on(trial, _FIRST, huber=HUBER_SIGMAS)
             else:
                 ending = self._gone_on(trial, _ROUND)
             if ending is Ending.NOTHING_FITS:
@@ -148,11 +151,13 @@ class LocalProblem:
         except LinAlgError:
             return None
         rows = system.dense_row + unknowns_of(problem, self.camera)
-        covariance = system.covariance[np.ix_(rows, rows)]
+        covariance = system.covariance[rows[:, None], rows]
         information = symmetric(np.linalg.inv(covariance))
         determinant = float(np.linalg.slogdet(information)[1])
         score = system.cost + system.log_determinant - determinant
-        own, others = log_priors(problem, self.camera, self.robot)
+        if self._log_priors is None:
+            self._log_priors = log_priors(problem, self.camera, self.robot)
+        own, others = self._log_priors
         score += self._odometry_score(assembled) + self._left_out_score(trial) - others
         chosen = zip(self._pictures.views, trial.chosen.tolist(), trial.wrong.tolist(), strict=True)
         readings = [None if wrong else view.readings[number] for view, number, wrong in chosen]
@@ -166,7 +171,7 @@ class LocalProblem:
             self._by_index(wild),
             {index: trial.poses[row] for row, index in enumerate(self.observations)},
             self._poses_covariance(assembled, system),
-            self._early_s(assembled),
+            trial.tables.early_s,
             self._scales(problem, state, system),
             robot.base_from_face if problem.priors.faces else None,
         )
@@ -176,14 +181,7 @@ class LocalProblem:
         count = len(self.observations)
         nodes = [system.node_rows(self.robot, assembled.node_of[row]) for row in range(count)]
         rows = np.concatenate(nodes)
-        return system.covariance[np.ix_(rows, rows)].reshape(count, -1, count, len(nodes[0]))
-
-    def _early_s(self, assembled: Assembled) -> float:
-        """How long before a picture's stamp its node lies: the time offset, by which the problem
-        was assembled, at the first picture."""
-        first_ns = next(iter(self.observations.values())).stamp_ns
-        since_epoch_s = self.data.since_epoch_s(first_ns)
-        return float(assembled.start.cameras[self.camera].offset_s(since_epoch_s))
+        return system.covariance[rows[:, None], rows].reshape(count, -1, count, len(nodes[0]))
 
     def _scales(self, problem: Problem, state: State, system: System) -> tuple[Array, Array] | None:
         if self.robot not in problem.layout.scales:
@@ -199,6 +197,5 @@ class LocalProblem:
         return float(np.sum(np.linalg.slogdet(chain.motion.covariance[free])[1]))
 
     def _left_out_score(self, trial: Trial) -> float:
-        scores = [score for index in self.observations for score in self.wrong_scores[index]]
-        wild = np.array([flags.sum() for flags in self._pictures.split(trial.wild)])
-        return float(np.where(trial.wrong, scores, self.events.wild_score * wild).sum())
+        wild = np.bincount(self._pictures.view_of, trial.wild, len(trial.wrong))
+        return float(np.where(trial.wrong, self._wrong_scores, self.events.wild_score * wild).sum())

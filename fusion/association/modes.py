@@ -144,14 +144,14 @@ class ModeFinder:
         return VisitModes(visit, near, sum(sum(row) for row in scores.values()), moments)
 
     def _found(self, visit: Visit, problem: LocalProblem, starts: list[Start]) -> list[Mode]:
-        lens, found = self.lenses[visit.camera], list[Mode]()
+        lens, found, most = self.lenses[visit.camera], list[Mode](), None
         for start in starts:
-            # A mode with some more wrong sightings is far outside the window.
-            fewest = min((mode.wrong for mode in found), default=None)
-            most = None if fewest is None else fewest + _MORE_WRONG
             mode = problem.mode_near(CameraState(start.map_from_camera, lens), start.wrong, most)
             if mode is not None:
                 found.append(mode)
+                # A mode with some more wrong sightings is far outside the window.
+                own = mode.wrong + _MORE_WRONG
+                most = own if most is None else min(most, own)
         return distinct(found + self._unmasked(problem, distinct(found)))
 
     def _unmasked(self, problem: LocalProblem, found: list[Mode]) -> list[Mode]:
@@ -299,11 +299,9 @@ def distinct(found: Iterable[Mode]) -> list[Mode]:
     """The modes that differ in the camera's pose or in their readings, best first."""
     every = sorted(found, key=lambda mode: mode.evidence)
     poses, kept = Pose.stack([mode.map_from_camera for mode in every]), list[int]()
+    one = Pose(poses.rotation[:, None], poses.translation[:, None])
+    alike = are_same_pose(one, poses).tolist()
     for row, mode in enumerate(every):
-        alike = are_same_pose(poses[np.array(kept, dtype=int)], poses[row]).tolist()
-        if not any(
-            is_same and every[other].readings == mode.readings
-            for other, is_same in zip(kept, alike, strict=True)
-        ):
+        if not any(alike[row][other] and every[other].readings == mode.readings for other in kept):
             kept.append(row)
     return [every[row] for row in kept]

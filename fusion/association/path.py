@@ -19,6 +19,7 @@ from trigpoint.fusion.model.trajectory import odometry_poses
 from trigpoint.geometry import Pose
 from trigpoint.geometry.chi_square import chi2_limit
 from trigpoint.geometry.rotation import Array
+from trigpoint.geometry.samples import unique
 from trigpoint.geometry.uncertainty import lever, relative_jacobians, turned_axes
 
 from .events import EVIDENCE
@@ -47,7 +48,7 @@ class RobotPath:
         self.track = track = data.tracks[robot]
         self.is_anchored = robot == data.anchored_robot
         first = [track.first_ns] if self.is_anchored else []
-        self.stamps_ns = np.unique([*first, *moments]).astype(np.int64)
+        self.stamps_ns = unique([*first, *moments]).astype(np.int64)
         self.tangent = PLANAR if track.planar else SPATIAL
         noise = data.site.robots[robot].odometry
         self.scale_sigma = np.array([noise.distance_scale, noise.heading_scale])

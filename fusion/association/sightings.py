@@ -11,6 +11,7 @@ from trigpoint.fusion.model.observations import Observation, View, face_points, 
 from trigpoint.fusion.reading.planar_pose import PoseFit, planar_poses
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
+from trigpoint.geometry.samples import median
 from trigpoint.native.library import In, Kernel, Out
 from trigpoint.site.target import Target
 
@@ -30,6 +31,9 @@ _BOARD_FITS = Kernel(
     Out(_REAL, ("b",)),
     Out(_REAL, ("b", "n")),
     Out(np.bool_, ("b", "n")),
+)
+_ON_ONE_PLANE = Kernel(
+    "tp_on_one_plane", In(_REAL, ("n", 2)), In(_REAL, ("n", 2)), float, Out(np.bool_, ("n",))
 )
 _WITHOUT_WILD = Kernel(
     "tp_without_wild",
@@ -91,7 +95,7 @@ def by_itself(view: View, lens: CameraModel, target: Target, events: Events) -> 
     if len(left) >= _LEAST_CORNERS:
         # Half of all distances from the mean are beyond √(2 ln 2) σ; the fit takes three corners.
         share = 1 - 3 / len(left)
-        middle = float(np.median(left)) / (2 * math.log(2) * share)
+        middle = median(left) / (2 * math.log(2) * share)
         kept = left[left < events.wild_score * middle]
         scatter = float(np.mean(kept)) / (2 * share)
     return Alone(score + events.wrong_limit, score, scatter, wild)
@@ -124,13 +128,11 @@ def _score(fit: tuple[float, Array, np.ndarray]) -> float:
 def _on_one_plane(flat: Array, pixels: Array, lens: CameraModel, limit: float) -> np.ndarray:
     """Which corners (n,) the homography that fits most of them maps to within `limit` (pixels)
     of where they are; all where there is none."""
-    directions = lens.directions(pixels)
-    if len(flat) <= _LEAST_GOOD or not np.all(np.isfinite(directions)):
-        return np.ones(len(flat), dtype=bool)
-    import cv2  # 20 MB that only wild corners need
-
-    _, mask = cv2.findHomography(flat[:, :2], directions, cv2.RANSAC, limit / lens.fx)
-    return np.ones(len(flat), dtype=bool) if mask is None else mask.ravel().astype(bool)
+    directions, kept = lens.directions(pixels), np.ones(len(flat), dtype=bool)
+    if len(flat) > _LEAST_GOOD and np.all(np.isfinite(directions)):
+        points = np.ascontiguousarray(flat[:, :2]), np.ascontiguousarray(directions)
+        _ON_ONE_PLANE(*points, float(limit / lens.fx), kept)
+    return kept
 
 
 def _fits(

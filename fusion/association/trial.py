@@ -15,7 +15,6 @@ from trigpoint.fusion.reading.views import BODY, VIEWS, body_tables, view_tables
 from trigpoint.fusion.solver.equations import EXACT, Equations, EquationsHandle
 from trigpoint.fusion.solver.tables import PROBLEM, STATE, problem_tables, state_of, state_tables
 from trigpoint.geometry import Pose
-from trigpoint.geometry.rotation import Array
 from trigpoint.native.library import In, Kernel, Out
 
 from .events import Events
@@ -66,22 +65,25 @@ class Ending(IntEnum):
 
 
 class Tables(Struct, frozen=True):
-    """A visit's problem with one `clock` (2,), its offset and drift: `node_of` (p,): each picture's
+    """A visit's problem with one `clock`, its offset and drift: `node_of` (p,): each picture's
     node; `problem` and `views`: as the core takes them; `rows` (v,): where each view's corners
-    begin in the problem's."""
+    begin in the problem's; `early_s`: how long before a picture's stamp its node lies, by the
+    clock at the first picture."""
 
-    clock: Array
+    clock: tuple[float, float]
     assembled: Assembled
     node_of: np.ndarray
     problem: tuple[np.ndarray | int, ...]
     views: tuple[np.ndarray, ...]
     rows: np.ndarray
+    early_s: float
 
 
 class Pictures:
     """A visit's pictures (p) of one robot by one camera, in order, and the views (v) in them.
 
-    `picture_of` (v,): which one a view is in; `ends`: where each one's views end.
+    `picture_of` (v,): which one a view is in; `ends`: where each one's views end; `view_of` (k,):
+    which view each of their corners is of.
     """
 
     def __init__(self, data: DataSet, observations: list[Observation], events: Events) -> None:
@@ -92,32 +94,35 @@ class Pictures:
         self.picture_of = np.repeat(np.arange(len(counts)), counts)
         self.ends = np.cumsum(counts).tolist()
         self.views = [view for observation in observations for view in observation.views]
-        self.corner_count = sum(len(view.corners) for view in self.views)
+        widths = np.array([len(view.corners) for view in self.views])
+        self._corner_ends = np.cumsum(widths).tolist()
+        self.view_of = np.repeat(np.arange(len(widths)), widths)
         self.jitter = data.jitter.get(self.robot)
         self.limits = np.array(
             [events.wild_score, events.wrong_limit, events.pose_score, events.sighting_gate]
         )
         self.room = events.room_variances
         ends_ns = np.array([observations[0].stamp_ns, observations[-1].stamp_ns])
-        self._furthest_s = float(np.abs(data.since_epoch_s(ends_ns)).max())
+        since_epoch_s = data.since_epoch_s(ends_ns)
+        self._first_s, self._furthest_s = since_epoch_s[:1], float(np.abs(since_epoch_s).max())
         self._tables: list[Tables] = []
 
     def split(self, flags: np.ndarray) -> list[np.ndarray]:
         """What is said of all corners, by view."""
-        return np.split(flags, np.cumsum([len(view.corners) for view in self.views])[:-1])
+        bounds = zip([0, *self._corner_ends], self._corner_ends, strict=False)
+        return [flags[start:end] for start, end in bounds]
 
     def tables(self, camera: CameraState, poses: Pose) -> Tables:
         """The problem with about a camera's clock; `poses` (p): where the robot may be."""
-        clock = np.array(camera.clock)
-        near = [row for row, kept in enumerate(self._tables) if self.does_for(kept, clock)]
+        near = [row for row, kept in enumerate(self._tables) if self.does_for(kept, camera.clock)]
         found = self._tables.pop(near[-1]) if near else self._assembled(camera, poses)
         self._tables.append(found)  # the last one used is the last
         del self._tables[:-_MOST_KEPT]
         return found
 
-    def does_for(self, tables: Tables, clock: Array) -> bool:
-        """Whether a clock (2,) is so near that of a problem that it need not be assembled anew."""
-        offset, drift = np.abs(clock - tables.clock).tolist()
+    def does_for(self, tables: Tables, clock: tuple[float, float]) -> bool:
+        """Whether a clock is so near that of a problem that it need not be assembled anew."""
+        offset, drift = (abs(one - other) for one, other in zip(clock, tables.clock, strict=True))
         return offset + drift * self._furthest_s <= _CLOCK_S
 
     def _assembled(self, camera: CameraState, poses: Pose) -> Tables:
@@ -137,12 +142,13 @@ class Pictures:
         first = before[np.searchsorted(self.picture_of, np.arange(len(entries)))]
         rows = batch.weights.shape[1] * self.picture_of + before - first[self.picture_of]
         return Tables(
-            np.array(camera.clock),
+            camera.clock,
             assembled,
             node_of,
             problem_tables(assembled.problem, assembled.start),
             view_tables(self._moving(camera)),
             rows,
+            camera.offset_s(self._first_s).item(),
         )
 
     def _moving(self, camera: CameraState) -> list[View]:
@@ -165,7 +171,7 @@ class Trial:
         self.pictures, self.poses, self.wrong = pictures, poses, wrong
         self.chosen = np.zeros(len(wrong), _WHOLE)
         self.hidden = np.zeros(len(wrong), _FLAG)
-        self.wild = np.zeros(pictures.corner_count, _FLAG)
+        self.wild = np.zeros(len(pictures.view_of), _FLAG)
         self._handle, self._score = EquationsHandle(), np.zeros(4)
         self._begin(camera)
 
@@ -174,7 +180,8 @@ class Trial:
         mine = self.pictures.robot
         self.tables = self.pictures.tables(camera, self.poses)
         problem = self.tables.assembled.problem
-        nodes = Pose.identity().repeated(len(problem.chains[mine])).rows()
+        nodes = np.zeros((len(problem.chains[mine]), 12))
+        nodes[:, :9:4] = 1.0
         nodes[self.tables.node_of] = self.poses.rows()
         robot = replace(robot or self.pictures.robots[mine], map_from_base=Pose.from_rows(nodes))
         self._start = State({self.pictures.camera: camera}, {mine: robot})
@@ -206,10 +213,10 @@ class Trial:
 
     def round(self, work: Work, *, huber: float = np.inf) -> Ending:
         """Go on by one round; corners beyond `huber` sigmas have a linear cost (Huber)."""
-        pictures, clock = self.pictures, self._state[2][0]
-        if not np.abs(clock).max() < _DIVERGED:
+        pictures, (offset, drift) = self.pictures, self._state[2][0].tolist()
+        if not (abs(offset) < _DIVERGED and abs(drift) < _DIVERGED):
             return Ending.NOTHING_FITS
-        if not pictures.does_for(self.tables, clock):
+        if not pictures.does_for(self.tables, (offset, drift)):
             self._begin(self.camera, self.state.robots[pictures.robot])
         tables = self.tables
         if pictures.jitter is not None and pictures.jitter.length > 0:

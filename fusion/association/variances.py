@@ -23,6 +23,7 @@ from msgspec.structs import astuple, fields, replace
 from trigpoint.fusion.solver.quasi_newton import least
 from trigpoint.geometry.chi_square import chi2_limit
 from trigpoint.geometry.rotation import Array
+from trigpoint.geometry.samples import median
 
 from .budget import Budget
 from .events import Events
@@ -228,7 +229,7 @@ def corner_scale(scatters: list[float]) -> float:
     not differ significantly. Their median is robust against what is no board of ours."""
     if not scatters:
         return 1.0
-    middle = max(float(np.median(scatters)), 1e-6)
+    middle = max(median(scatters), 1e-6)
     if abs(middle - 1) < _BEYOND_CHANCE * _SCATTER_SIGMA / math.sqrt(len(scatters)):
         return 1.0
     return in_steps(math.sqrt(middle))

@@ -9,6 +9,7 @@ from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.model.thinning import thinned
 from trigpoint.geometry import rotation as so3
+from trigpoint.geometry.samples import median
 
 # Within a visit odometry must tell faces of a target apart (a sixth of a turn), and places to less
 # than a tenth of the camera's distance.
@@ -104,7 +105,7 @@ def _ends(data: DataSet, robot: str, stamps_ns: np.ndarray) -> list[int]:
     if len(moments) < 2:
         return []
     gaps = np.diff(moments)
-    is_away = gaps > min(_LONGEST_GAP_NS, _LONGEST_GAP_PERIODS * float(np.median(gaps)))
+    is_away = gaps > min(_LONGEST_GAP_NS, _LONGEST_GAP_PERIODS * median(gaps))
     pieces = track.pieces(moments)
     ends = []
     # Between the runs nothing need be known of the motion.

@@ -12,6 +12,7 @@ from msgspec import Struct
 
 from trigpoint.fusion.reading.sight import information_at
 from trigpoint.geometry.rotation import Array
+from trigpoint.geometry.samples import unique
 
 from .correction_errors import Pictures, expected_errors
 from .floor import DRIVEN_M, HEADINGS, Floor, standing
@@ -161,7 +162,7 @@ def _tile(network: KnownNetwork, carried: Carried, places: Array) -> _Tile:
     cameras = np.bincount(pictures.pose, minlength=poses).reshape(-1, HEADINGS)
     without = np.tile(middle(whole), (len(network.eyes), 1))
     sees = np.zeros(without.shape, dtype=bool)
-    for camera in np.unique(pictures.camera):
+    for camera in unique(pictures.camera):
         mine = pictures.camera == camera
         failed = errors.by_pose.copy()
         failed[pictures.pose[mine]] = errors.without[mine]

@@ -7,6 +7,7 @@ import numpy as np
 from trigpoint.contract.messages import OccupancyGrid
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
+from trigpoint.geometry.samples import unique
 from trigpoint.map.network import Network
 from trigpoint.site.config import Site
 from trigpoint.site.target import Target
@@ -48,7 +49,7 @@ class AnnouncedMap:
         if self._before is not None and not differs(self._before, known):
             return None
         driven = [poses.translation[:, :2] for _, poses in trajectories.values()]
-        places = np.unique(np.round(np.concatenate([np.zeros((0, 2)), *driven]), 1), axis=0)
+        places = unique(np.round(np.concatenate([np.zeros((0, 2)), *driven]), 1), axis=0)
         carried = carried_by(self._site.robots, self._targets, network)
         floor = floor_of(known, carried, places, most_cells=MOST_CELLS)
         if not floor.rows:

@@ -10,6 +10,7 @@ from trigpoint.fusion.model.places import are_near
 from trigpoint.fusion.reading.sight import information_at
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
+from trigpoint.geometry.samples import unique
 
 from .known_network import Carried, KnownNetwork
 
@@ -89,7 +90,7 @@ def standing(places: Array, headings: int = HEADINGS) -> Pose:
 def each_decimetre(places: Sequence[Array]) -> Array:
     """Where robots were, (n, 2), each decimetre once; `places`: parts (m, 2 or 3)."""
     flat = np.concatenate([np.zeros((0, 2)), *(part[:, :2] for part in places)])
-    return np.unique(np.round(flat, 1), axis=0)
+    return unique(np.round(flat, 1), axis=0)
 
 
 def floor_about(places: Array, *, cell_m: float = CELL_M, most_cells: int | None = None) -> Floor:
@@ -117,4 +118,4 @@ def _seen_coarsely(network: KnownNetwork, carried: Carried) -> Iterator[Array]:
         places = around + eye.map_from_camera.translation[:2]
         places = places[eye.may_see(carried.faces, places)]
         told = information_at(eye, carried.faces, standing(places, _COARSE_HEADINGS))
-        yield places[np.unique(told.rows // _COARSE_HEADINGS)]
+        yield places[unique(told.rows // _COARSE_HEADINGS)]

@@ -10,6 +10,7 @@ from trigpoint.fusion.model.odometry import PLANAR, SPATIAL
 from trigpoint.fusion.reading.sight import Eye, Faces
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
+from trigpoint.geometry.samples import median
 from trigpoint.map.network import CameraRecord, Network, RobotRecord
 from trigpoint.site.config import RobotConfig
 from trigpoint.site.target import Target
@@ -51,14 +52,14 @@ class KnownNetwork(Struct, frozen=True, eq=False):
         blocks = np.stack(
             [self.covariance[i : i + 6, i : i + 6] for i in range(0, len(self.covariance), 6)]
         )
-        shift = float(np.median(np.trace(blocks[:, :3, :3], axis1=1, axis2=2))) / 3
-        turn = float(np.median(np.trace(blocks[:, 3:, 3:], axis1=1, axis2=2))) / 3
+        shift = median(np.trace(blocks[:, :3, :3], axis1=1, axis2=2)) / 3
+        turn = median(np.trace(blocks[:, 3:, 3:], axis1=1, axis2=2)) / 3
         return np.diag([shift] * 3 + [turn] * 3)
 
     @property
     def usual_sigma_px(self) -> float:
         """The middle one of the cameras' sigmas of a corner."""
-        return float(np.median([eye.sigma_px for eye in self.eyes]))
+        return median([eye.sigma_px for eye in self.eyes])
 
 
 def known_network(network: Network, covariance: Array) -> KnownNetwork:
@@ -69,7 +70,7 @@ def known_network(network: Network, covariance: Array) -> KnownNetwork:
     """
     records = [network.cameras[name] for name in network.located]
     measured = [r.reprojection_rms for r in records if r.reprojection_rms]
-    usual = float(np.median(measured)) if measured else USUAL_SIGMA_PX
+    usual = median(measured) if measured else USUAL_SIGMA_PX
     eyes = (_eye(n, r, usual) for n, r in zip(network.located, records, strict=True))
     return KnownNetwork(tuple(eyes), covariance)
 

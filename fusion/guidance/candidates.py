@@ -12,6 +12,7 @@ from trigpoint.fusion.model.thinning import thinned
 from trigpoint.fusion.solver.snapshot import GuidanceWorld, RobotPlace
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
+from trigpoint.geometry.samples import unique
 
 CELL_M = 0.25
 DRIVEN_M = 0.5
@@ -87,7 +88,7 @@ def candidates(
     if not place.planar:
         return _driven(ground, place.map_from_base)
     near = [_near(ground.places, world.views[name].places[:, :2]) for name in cameras]
-    chosen = np.unique(np.concatenate([np.zeros(0, dtype=int), *near]))
+    chosen = unique(np.concatenate([np.zeros(0, dtype=int), *near]))
     x, y = np.repeat(ground.places[chosen], _HEADINGS, axis=0).T
     headings = np.tile(np.arange(_HEADINGS) * 2 * np.pi / _HEADINGS, len(chosen))
     return Candidates(Pose.planar(x, y, headings), np.repeat(paths[chosen], _HEADINGS))
@@ -124,6 +125,6 @@ def _squares(driven: Array) -> np.ndarray:
     order."""
     reach = int(np.ceil(DRIVEN_M / CELL_M))
     around = np.stack(np.meshgrid(*[np.arange(-reach, reach + 1)] * 2), axis=-1).reshape(-1, 2)
-    own = np.unique(np.round(driven / CELL_M).astype(int), axis=0)
-    squares = np.unique((own[:, None] + around).reshape(-1, 2), axis=0)
+    own = unique(np.round(driven / CELL_M).astype(int), axis=0)
+    squares = unique((own[:, None] + around).reshape(-1, 2), axis=0)
     return squares[are_near(squares * CELL_M, driven, DRIVEN_M)]

@@ -20,6 +20,7 @@ from trigpoint.fusion.reading.sight import Eye, Faces, Rules, corners_found
 from trigpoint.fusion.solver.snapshot import GuidanceWorld, RobotPlace
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
+from trigpoint.geometry.samples import unique
 
 from .candidates import SEEN_M, Candidates
 
@@ -69,7 +70,7 @@ def visits(
     for number, those in enumerate(sets.T):
         rows = np.flatnonzero(of_set == number)
         names = tuple(name for name, is_one in zip(cameras, those, strict=True) if is_one)
-        columns = np.unique(np.concatenate([told[i].columns for i in np.flatnonzero(those)]))
+        columns = unique(np.concatenate([told[i].columns for i in np.flatnonzero(those)]))
         last = layout.last[place.robot]
         columns = np.concatenate([last, columns[~np.isin(columns, last)]])
         place_of = {column: row for row, column in enumerate(columns.tolist())}

@@ -9,6 +9,7 @@ from msgspec.structs import replace
 from trigpoint.base.clock import NANOSECONDS, to_ns
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
+from trigpoint.geometry.samples import unique
 from trigpoint.site.config import CameraConfig, FusionConfig, OdometryNoise
 from trigpoint.site.target import Target
 
@@ -115,7 +116,7 @@ def _chain(
         [true_time_ns(data, data.entries[i].observation, state) for i in entries], dtype=np.int64
     )
     times = np.clip(times, track.first_ns, track.last_ns)
-    moments = np.unique(np.concatenate([times, [track.first_ns]]) if is_first else times)
+    moments = unique(np.concatenate([times, [track.first_ns]]) if is_first else times)
     if anchored:
         moments = _filled(moments, track)
     group = np.zeros(len(moments), dtype=int)
@@ -151,7 +152,7 @@ def _filled(moments: np.ndarray, track: OdometryTrack) -> np.ndarray:
         fill = np.linspace(moments[gap], moments[gap + 1], count + 1).astype(np.int64)[1:-1]
         _, first = np.unique(np.searchsorted(track.stamps_ns, fill), return_index=True)
         parts.append(fill[first])
-    return np.unique(np.concatenate(parts))
+    return unique(np.concatenate(parts))
 
 
 def _guesses(data: DataSet, robot: str, node_of: dict[int, int]) -> dict[int, Pose | None]:

@@ -33,7 +33,7 @@ class Jitter(Struct, frozen=True):
         independent: a tilt that m of them share has m times its variance in each, so that
         together they are worth no more than one."""
         variances = np.tile(self.variances, (len(places), 1))
-        if self.length > 0:
+        if self.length > 0 and len(places) > 1:
             some = places[thinned(len(places), _MOST_PLACES)]
             apart = np.linalg.norm(places[:, None] - some, axis=-1)
             alike = np.exp(-apart / self.length).mean(axis=1) * len(places)

@@ -16,6 +16,7 @@ from msgspec import Struct
 from numpy.linalg import LinAlgError
 
 from trigpoint.base.clock import to_ns
+from trigpoint.contract.messages import Odometry
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.site.config import OdometryNoise
@@ -75,9 +76,9 @@ class Readings(Struct, frozen=True):
         return self.stamps_ns.item(-1)
 
     @classmethod
-    def of(cls, stamp_ns: int, odom_from_base: Pose) -> Self:
-        """One message's."""
-        return cls(np.array([stamp_ns]), Pose.stack([odom_from_base]))
+    def of(cls, messages: Sequence[Odometry]) -> Self:
+        stamps_ns = np.array([message.stamp_ns for message in messages], dtype=np.int64)
+        return cls(stamps_ns, Pose.stack([message.pose for message in messages]))
 
     @classmethod
     def joined(cls, some: "Sequence[Readings]") -> Self:
@@ -157,7 +158,8 @@ class OdometryTrack:
 
         Once the robot has stood for long, the last message is moved on instead.
         """
-        return Added(self.add_run(Readings.of(stamp_ns, odom_from_base))[0])
+        one = Readings(np.array([stamp_ns]), Pose.stack([odom_from_base]))
+        return Added(self.add_run(one)[0])
 
     def add_run(self, readings: Readings) -> list[int]:
         """Append messages, one after the other; what became of each, `Added`."""

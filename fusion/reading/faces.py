@@ -89,7 +89,8 @@ def is_same_pose(first: Pose, second: Pose) -> bool:
 
 
 def are_same_pose(poses: Pose, other: Pose) -> np.ndarray:
-    """Which of poses (n) are the same solution as another one, (n,) bool."""
+    """Which of poses (n) are the same solution as another one, (n,) bool; (…) of any that
+    broadcast."""
     apart = np.linalg.norm(poses.translation - other.translation, axis=-1)
-    cosine = np.einsum("nij,ij->n", poses.rotation, other.rotation)  # 1 + 2 cos(angle)
+    cosine = np.einsum("...ij,...ij->...", poses.rotation, other.rotation)  # 1 + 2 cos(angle)
     return (apart < _SAME_PLACE_M) & (cosine > 1 + 2 * np.cos(_SAME_TURN_RAD))

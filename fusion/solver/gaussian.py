@@ -20,6 +20,7 @@ from msgspec import Struct, field
 from numpy.linalg import LinAlgError
 
 from trigpoint.geometry.rotation import Array
+from trigpoint.geometry.samples import unique
 from trigpoint.native.library import In, Kernel, Out
 
 # The most near columns: with so many, updating them is still quicker than anything else in a step.
@@ -158,7 +159,7 @@ class Gaussian(Struct, eq=False, dict=True):
     ) -> "Gaussian":
         """The Gaussian with columns (m,) replaced by matrix (m, k) times columns `of` (k,),
         plus a shift (m,) and noise of covariance (m, m)."""
-        ready = self._ready(np.unique(np.concatenate([columns, of])))
+        ready = self._ready(unique(np.concatenate([columns, of])))
         near = ready._near
         table = np.empty_like(near.table)
         _MOVED(

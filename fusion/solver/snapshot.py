@@ -9,6 +9,7 @@ from trigpoint.fusion.model.odometry import PLANAR, SPATIAL
 from trigpoint.fusion.model.problem import Layout, Problem, State
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
+from trigpoint.geometry.samples import median
 from trigpoint.site.config import OdometryNoise
 from trigpoint.site.target import Target
 
@@ -116,4 +117,4 @@ def _views(problem: Problem, state: State, camera: str) -> CameraViews:
     places = [state.robots[b.robot].map_from_base.translation[b.nodes] for b in mine]
     # 1/sigma of the used corners, their observations' shares taken out.
     weights = [(b.weights / np.sqrt(b.shares)[:, None])[b.weights > 0] for b in mine]
-    return CameraViews(np.concatenate(places), float(1 / np.median(np.concatenate(weights))))
+    return CameraViews(np.concatenate(places), 1 / median(np.concatenate(weights)))

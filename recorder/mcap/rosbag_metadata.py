@@ -6,8 +6,6 @@ from pathlib import Path
 from typing import Any
 
 from msgspec import Struct, field
-from ruamel.yaml import YAML, YAMLError
-from ruamel.yaml.scalarstring import LiteralScalarString
 
 from trigpoint.base.errors import RecordingError
 from trigpoint.contract import cdr
@@ -70,6 +68,8 @@ def _as_it_is(listed: Path) -> Path:
 def packs_messages(folder: Path, name: str = "") -> bool:
     """Whether the messages of the bag in a folder are packed one by one, and its files, of which a
     metadata.yaml tells, include the one of that name, if any."""
+    if not (folder / FILE).exists():
+        return False
     try:
         information = _information(folder / FILE)
     except RecordingError:
@@ -82,6 +82,8 @@ def packs_messages(folder: Path, name: str = "") -> bool:
 
 def _information(file: Path) -> dict[str, Any]:
     """What a metadata.yaml says, with its list of files."""
+    from ruamel.yaml import YAML, YAMLError  # whoever reads a session alone has no such file
+
     try:
         information = YAML(typ="safe").load(file.read_bytes())["rosbag2_bagfile_information"]
         list(information["relative_file_paths"])
@@ -95,6 +97,8 @@ def _information(file: Path) -> dict[str, Any]:
 
 def metadata_text(parts: Sequence[PartFacts]) -> str:
     """The file's text, as rosbag2 of Jazzy writes it."""
+    from ruamel.yaml import YAML
+
     counts: dict[str, int] = {}
     for part in parts:
         for key, count in part.counts.items():
@@ -125,6 +129,8 @@ def metadata_text(parts: Sequence[PartFacts]) -> str:
 
 
 def _topic(key: str, count: int, type_name: str) -> dict[str, object]:
+    from ruamel.yaml.scalarstring import LiteralScalarString
+
     topic = topic_of(key)
     name = type_name or (topic.type_name if topic else "std_msgs/msg/UInt8MultiArray")
     metadata = {

@@ -50,8 +50,8 @@ def info(
     keys = sorted(found.keys.items())
     head = ("key", "messages", "Hz", "gap s", "lost", "breaks", "type")
     rows = [_row(key, one) for key, one in keys]
-    styles = ["red" if one.lost or one.sequence_breaks else "" for _, one in keys]
-    typer.echo(table(head, rows, left=(0, 6), styles=styles))
+    colours = ["red" if one.lost or one.sequence_breaks else "" for _, one in keys]
+    typer.echo(table(head, rows, left=(0, 6), colours=colours))
 
 
 def _say_where(folder: Path, at: str) -> None:

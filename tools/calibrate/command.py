@@ -142,8 +142,8 @@ def _print(results: Results, error: NetworkError | None) -> None:
     rows = [_row(name, camera, error) for name, camera in cameras]
     width = max(map(len, rows), default=0)
     filled = [row + [""] * (width - len(row)) for row in rows]
-    styles = ["" if camera.status == "located" else "yellow" for _, camera in cameras]
-    typer.echo(table(head[:width], filled, left=(0, 1), styles=styles))
+    colours = ["" if camera.status == "located" else "yellow" for _, camera in cameras]
+    typer.echo(table(head[:width], filled, left=(0, 1), colours=colours))
     for name, camera in cameras:
         for reason in camera.undetermined:
             if camera.status == "undetermined":

@@ -57,7 +57,7 @@ def alignment_text(building: Building) -> str:
         for one in residuals
     ]
     rows += [(name, "", "", "", "is not located; left out") for name in building.missing]
-    styles = ["red" if one.is_outlier else "" for one in residuals]
-    styles += ["yellow"] * len(building.missing)
+    colours = ["red" if one.is_outlier else "" for one in residuals]
+    colours += ["yellow"] * len(building.missing)
     head = ("point", "off cm", "chi²", "by chance", "")
-    return "\n".join([lines[0], table(head, rows, left=(0, 4), styles=styles)])
+    return "\n".join([lines[0], table(head, rows, left=(0, 4), colours=colours)])

@@ -98,8 +98,8 @@ def changes_table(found: Sequence[Change]) -> str:
         )
         for one in found
     ]
-    styles = ["red" if one.has_moved else "" for one in found]
-    return table(head, rows, left=(0, 5), styles=styles)
+    colours = ["red" if one.has_moved else "" for one in found]
+    return table(head, rows, left=(0, 5), colours=colours)
 
 
 def changes_json(found: Sequence[Change]) -> str:

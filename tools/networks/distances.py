@@ -252,11 +252,11 @@ def _compared_table(found: Comparison) -> str:
         )
         for i, row in enumerate(found.measured)
     ]
-    styles = ["red" if abs(value) > _FAR_SIGMAS else "" for value in in_sigmas]
+    colours = ["red" if abs(value) > _FAR_SIGMAS else "" for value in in_sigmas]
     count = len(found.measured)
     return "\n".join(
         [
-            table(head, rows, left=(0, 1), styles=styles),
+            table(head, rows, left=(0, 1), colours=colours),
             f"mean error of {counted(count, 'distance')}: {100 * found.mean_error_m:.2f} cm; "
             f"expected by the sigmas: {100 * found.expected_error_m:.2f} cm",
             f"chi² per distance, by the joint covariance: {found.chi2_per_distance:.2f}",

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from html import escape
-from importlib import resources
+from pathlib import Path
 
 from .svg import element
 
@@ -23,10 +23,7 @@ def html_page(title: str, *sections: str, headline: str, lead: str, footer: str)
         '<meta charset="utf-8">',
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
         element("title", escape(title)),
-        element(
-            "style",
-            resources.files("trigpoint.tools.pages").joinpath("style.css").read_text("utf-8"),
-        ),
+        element("style", Path(__file__).with_name("style.css").read_text("utf-8")),
     )
     header = element(
         "header",

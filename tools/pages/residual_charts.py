@@ -5,6 +5,7 @@ import numpy as np
 from trigpoint.base.words import counted
 from trigpoint.fusion.estimators.residuals import CameraResiduals
 from trigpoint.geometry.rotation import Array
+from trigpoint.geometry.samples import quantile
 
 from .axes import Axes
 from .svg import drawing, element, group, largest_factor, lines, polyline
@@ -109,7 +110,7 @@ def _shade(residuals: CameraResiduals, width: int, height: int, scale: float) ->
 def _magnification(residual_px: Array, scale: float) -> int:
     if not len(residual_px):
         return 1
-    ordinary = float(np.quantile(np.linalg.norm(residual_px, axis=1), 0.9)) * scale
+    ordinary = quantile(np.linalg.norm(residual_px, axis=1), 0.9) * scale
     return largest_factor(ordinary, _LONGEST)
 
 

@@ -17,7 +17,7 @@ def element(name: str, *content: str, **attributes: object) -> str:
     attribute that is None is left out; numbers are written with two decimals at most.
     """
     pairs = [
-        f' {key.rstrip("_").replace("_", "-")}="{escape(_value(value))}"'
+        f' {key.rstrip("_").replace("_", "-")}="{_value(value)}"'
         for key, value in attributes.items()
         if value is not None
     ]
@@ -91,10 +91,11 @@ def largest_factor(size: float, largest: float) -> int:
 
 
 def _points(points: Array) -> str:
-    return " ".join(f"{x:.1f},{y:.1f}" for x, y in np.asarray(points, dtype=float))
+    return " ".join(f"{x:.1f},{y:.1f}" for x, y in np.asarray(points, dtype=float).tolist())
 
 
 def _value(value: object) -> str:
+    """An attribute's, escaped."""
     if isinstance(value, (float, np.floating)):
         return f"{value:.2f}".rstrip("0").rstrip(".")
-    return str(value)
+    return escape(str(value))

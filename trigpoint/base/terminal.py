@@ -1,10 +1,10 @@
-"""Tables and progress on a terminal, both drawn with rich.
+"""Tables and progress on a terminal.
 
-If the output is not a terminal, tables are plain text of any width and no progress is shown. rich
-is imported only when needed: half of the commands never use it.
+If the output is not a terminal, tables are plain text and no progress is shown. rich draws the
+progress, and is imported only then: most runs show none.
 """
 
-import io
+import os
 import sys
 import threading
 import time
@@ -18,7 +18,10 @@ if TYPE_CHECKING:
 _QUIET_S = 2.0
 """Shorter work shows no progress."""
 _PERIOD_S = 0.5
-_NO_LIMIT = 1000
+_GAP = "  "
+_BOLD = 1
+_COLOURS = {"red": 31, "yellow": 33}
+"""As a terminal has them (ECMA-48, select graphic rendition)."""
 
 
 def table(
@@ -26,26 +29,24 @@ def table(
     rows: Sequence[Sequence[str]],
     *,
     left: Collection[int] = (0,),
-    styles: Sequence[str] = (),
+    colours: Sequence[str] = (),
 ) -> str:
-    """Aligned rows below a header. `left`: numbers of the left-aligned columns; `styles`: each
-    row's rich style, "" for none; files and pipes get no styles."""
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
+    """Aligned rows below a header, each on one line however long. `left`: numbers of the
+    left-aligned columns; `colours`: each row's, "" for none; files and pipes get none."""
+    widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
+    lines = [_GAP.join(_aligned(row, widths, left)).rstrip() for row in (head, *rows)]
+    if not sys.stdout.isatty() or "NO_COLOR" in os.environ or os.environ.get("TERM") == "dumb":
+        return "\n".join(lines)
+    codes = [_BOLD, *(_COLOURS.get(colour, 0) for colour in colours or [""] * len(rows))]
+    return "\n".join(
+        f"\x1b[{code}m{line}\x1b[0m" if code else line
+        for code, line in zip(codes, lines, strict=True)
+    )
 
-    is_terminal = sys.stdout.isatty()
-    shown = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="bold")
-    for number, name in enumerate(head):
-        shown.add_column(Text(name), justify="left" if number in left else "right", no_wrap=True)
-    for number, row in enumerate(rows):
-        style = styles[number] if styles else ""
-        shown.add_row(*(Text(cell) for cell in row), style=style or None)
-    # At full width: a row broken in two is harder to read than one that scrolls.
-    console = Console(file=io.StringIO(), width=_NO_LIMIT, force_terminal=is_terminal)
-    with console.capture() as captured:
-        console.print(shown)
-    return "\n".join(line.rstrip() for line in captured.get().splitlines())
+
+def _aligned(row: Sequence[str], widths: Sequence[int], left: Collection[int]) -> Iterator[str]:
+    for number, (cell, width) in enumerate(zip(row, widths, strict=True)):
+        yield cell.ljust(width) if number in left else cell.rjust(width)
 
 
 class Progress:

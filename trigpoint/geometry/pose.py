@@ -126,7 +126,8 @@ class Pose(Struct, frozen=True, eq=False):
 
 def rows_of(poses: Iterable[Pose]) -> Array:
     """The rows (n, 12) of poses one after the other, each of them one or many."""
-    return np.concatenate([np.empty((0, 12)), *(pose.rows() for pose in poses)])
+    rows = [pose.rows() for pose in poses]
+    return rows[0] if len(rows) == 1 else np.concatenate([np.empty((0, 12)), *rows])
 
 
 def angle_between(first: Pose, second: Pose) -> Array:

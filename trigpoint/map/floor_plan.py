@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 from msgspec import Struct
-from ruamel.yaml import YAML, YAMLError
 
 from trigpoint.base.errors import ConfigError, read_text
 from trigpoint.geometry import Pose
@@ -99,6 +98,8 @@ def parse_floor_plan(text: str, picture: bytes, *, file: str) -> FloorPlan:
 
 
 def _document(text: str, file: str) -> dict[str, Any]:
+    from ruamel.yaml import YAML, YAMLError  # few sites have a plan
+
     try:
         document = YAML(typ="safe").load(text)
     except YAMLError as reason:

@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 from msgspec import Struct
 
+from trigpoint.base.clock import NANOSECONDS
 from trigpoint.base.errors import InputError, read_text, writing
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.camera import LensModel
@@ -265,16 +266,16 @@ def _replace(path: Path, data: bytes) -> None:
         part.unlink(missing_ok=True)
 
 
+_SEVEN = " ".join(["%.9f"] * 7)
+
+
 def encode_tum(stamps_ns: np.ndarray, poses: Pose) -> bytes:
     """A TUM trajectory: `t x y z qx qy qz qw` per row, seconds and metres."""
-    rows = []
-    quaternions = poses.quaternion.reshape(-1, 4)
-    translations = poses.translation.reshape(-1, 3)
-    for stamp_ns, t, q in zip(stamps_ns, translations, quaternions, strict=True):
-        seconds, nanoseconds = divmod(int(stamp_ns), 1_000_000_000)
-        numbers = " ".join(f"{value:.9f}" for value in (*t, *q))
-        rows.append(f"{seconds}.{nanoseconds:09d} {numbers}\n")
-    return "".join(rows).encode()
+    numbers = np.hstack([poses.translation.reshape(-1, 3), poses.quaternion.reshape(-1, 4)])
+    return "".join(
+        f"{stamp_ns // NANOSECONDS}.{stamp_ns % NANOSECONDS:09d} {_SEVEN % tuple(row)}\n"
+        for stamp_ns, row in zip(stamps_ns.tolist(), numbers.tolist(), strict=True)
+    ).encode()
 
 
 def load_tum(path: Path) -> tuple[np.ndarray, Pose]:
@@ -294,7 +295,7 @@ def decode_tum(data: bytes, *, source: str = "trajectory") -> tuple[np.ndarray, 
         fields = line.split()
         try:
             seconds, _, fraction = fields[0].partition(".")
-            stamps.append(int(seconds) * 1_000_000_000 + int((fraction + "0" * 9)[:9]))
+            stamps.append(int(seconds) * NANOSECONDS + int((fraction + "0" * 9)[:9]))
             rows.append([float(value) for value in fields[1:]])
             if len(fields) != 8:
                 raise ValueError

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ruamel.yaml import YAML
 
 from trigpoint.base.errors import InputError, read_text
 from trigpoint.geometry import CameraModel
@@ -45,6 +44,8 @@ def parse_camera_info(text: str, *, file: str = "camera_info") -> CameraModel:
 
 def format_camera_info(camera: CameraModel, name: str) -> str:
     """The YAML text of a camera; `name` is its camera_name."""
+    from ruamel.yaml import YAML  # who only reads sessions needs none
+
     projection = np.hstack([camera.matrix, np.zeros((3, 1))])
     document = {
         "image_width": camera.width,

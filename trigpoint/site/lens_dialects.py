@@ -8,15 +8,16 @@ JSON), Kalibr's camchain, EuRoC's sensor.yaml, ORB-SLAM's and camodocal's settin
 import json
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from typing import Any
-from xml.etree import ElementTree
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from msgspec import Struct
-from ruamel.yaml import YAML, YAMLError
 
 from trigpoint.base.errors import InputError
 from trigpoint.geometry.camera import LensModel
+
+if TYPE_CHECKING:
+    from xml.etree.ElementTree import Element
 
 # Keys in small letters without signs, as `_plain` makes them; the first is how ROS writes it.
 _WIDTH = ("imagewidth", "width", "w", "camerawidth", "camera1width")
@@ -273,6 +274,8 @@ def _document(text: str, file: str) -> dict[str, Any]:
 
 def _of_yaml(text: str, file: str) -> Any:
     """YAML and JSON; FileStorage's YAML has a head and tags that YAML does not know."""
+    from ruamel.yaml import YAML, YAMLError  # as below: most who import this read no such file
+
     if text.startswith("{"):
         try:
             return json.loads(text)
@@ -290,6 +293,8 @@ def _of_yaml(text: str, file: str) -> Any:
 
 
 def _of_xml(text: str, file: str) -> Any:
+    from xml.etree import ElementTree
+
     try:
         return _of_element(ElementTree.fromstring(text))
     except ElementTree.ParseError as reason:
@@ -297,7 +302,7 @@ def _of_xml(text: str, file: str) -> Any:
         raise InputError(f"{file}:{line}: not valid XML; mend that line") from None
 
 
-def _of_element(element: ElementTree.Element) -> Any:
+def _of_element(element: "Element") -> Any:
     if len(element):
         return {child.tag: _of_element(child) for child in element}
     return (element.text or "").strip('" \n').split()

@@ -27,6 +27,7 @@ from trigpoint.fusion.solver.quasi_newton import least
 from trigpoint.geometry import Pose
 from trigpoint.geometry.chi_square import chi2_limit
 from trigpoint.geometry.rotation import Array
+from trigpoint.geometry.samples import unique
 from trigpoint.site.config import OdometryNoise
 
 # Drifts that go on for seconds add up over such a window; of longer ones there would be few.
@@ -116,7 +117,7 @@ def windows_of(problem: Problem, state: State, robot: str) -> Windows | None:
     spans = _spans([_seen(problem, b, state) for b in problem.batches if b.robot == robot])
     if len(spans) < _LEAST_WINDOWS:
         return None
-    moments_ns = np.unique([seen.stamps_ns[row] for seen, *rows in spans for row in rows])
+    moments_ns = unique([seen.stamps_ns[row] for seen, *rows in spans for row in rows])
     first = np.searchsorted(moments_ns, [seen.stamps_ns[start] for seen, start, _ in spans])
     start = _stacked([(seen, row) for seen, row, _ in spans])
     end = _stacked([(seen, row) for seen, _, row in spans])

@@ -18,6 +18,7 @@ from trigpoint.fusion.model.problem import State
 from trigpoint.fusion.model.trajectory import interpolated
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
+from trigpoint.geometry.samples import unique
 
 
 def take_back(data: DataSet, assembled: Assembled, state: State, events: Events) -> bool:
@@ -52,7 +53,7 @@ def _read_again(
     if not seen:
         return False
     stamps = np.array([entry.observation.stamp_ns for entry in entries])
-    poses, drift, is_reached = _there(data, assembled, state, robot, stamps, np.unique(seen))
+    poses, drift, is_reached = _there(data, assembled, state, robot, stamps, unique(seen))
     rows = np.flatnonzero(is_reached)
     if not len(rows):
         return False
@@ -81,8 +82,8 @@ def _there(
     left out."""
     track, chain = data.tracks[robot], assembled.problem.chains[robot]
     moments = np.clip(stamps_ns, track.first_ns, track.last_ns)
-    seen = np.unique(np.clip(seen_ns, track.first_ns, track.last_ns))
-    every = np.unique(np.concatenate([seen, moments]))
+    seen = unique(np.clip(seen_ns, track.first_ns, track.last_ns))
+    every = unique(np.concatenate([seen, moments]))
     nodes = state.robots[robot].map_from_base
     poses = interpolated(track, chain.scales, chain.stamps_ns, nodes, every)
     drift = Drift.of(track, every, chain.scales, poses)

@@ -1,8 +1,12 @@
-// Both poses of a plane from one picture, and how a board fits by itself.
+// Both poses of a plane from one picture, and which of its corners are on one plane.
 #include <Eigen/Eigenvalues>
 #include <Eigen/LU>
 #include <algorithm>
 #include <array>
+#include <cmath>
+#include <random>
+#include <stdexcept>
+#include <vector>
 
 #include "border.hpp"
 #include "fusion/pose_fitting.hpp"
@@ -16,6 +20,9 @@ constexpr Eigen::Index LEAST_CORNERS = 4;
 constexpr double LINE_M = 1e-6;
 // A direction this near to the optical axis needs no turn.
 constexpr double ON_AXIS = 1e-12;
+// How sure it is that one sample had no wild corner in it, and how many samples are drawn at most.
+constexpr double CONFIDENCE = 0.9999;
+constexpr int MOST_SAMPLES = 2000;
 
 using Plane = Eigen::Matrix<double, Eigen::Dynamic, 2>;
 
@@ -97,6 +104,64 @@ Eigen::Vector3d translation_of(const Eigen::Matrix3d& rotation, const Plane& pla
     return normal.partialPivLu().solve(pull);
 }
 
+using Mask = Eigen::Array<bool, Eigen::Dynamic, 1>;
+
+// Which points a homography takes to within a limit of where they are.
+Mask near(const Eigen::Matrix3d& h, const Plane& from, const Plane& to, double limit) {
+    const Eigen::Matrix<double, Eigen::Dynamic, 3> there =
+        from.rowwise().homogeneous() * h.transpose();
+    const Plane apart = there.rowwise().hnormalized() - to;
+    return apart.rowwise().squaredNorm().array() <= limit * limit;
+}
+
+Plane chosen(const Plane& points, const std::vector<Eigen::Index>& rows) {
+    Plane some(rows.size(), 2);
+    for (std::size_t i = 0; i < rows.size(); ++i)
+        some.row(static_cast<Eigen::Index>(i)) = points.row(rows[i]);
+    return some;
+}
+
+// The same by the homography of those that are near one, as long as that brings more.
+Mask grown(Mask found, const Plane& from, const Plane& to, double limit) {
+    while (found.count() >= LEAST_CORNERS) {
+        std::vector<Eigen::Index> rows;
+        for (Eigen::Index k = 0; k < found.size(); ++k)
+            if (found(k)) rows.push_back(k);
+        const Mask more = near(homography(chosen(from, rows), chosen(to, rows)), from, to, limit);
+        if (more.count() <= found.count()) break;
+        found = more;
+    }
+    return found;
+}
+
+// Which points the homography that fits most of them takes to within a limit of where they are; all
+// where there is none. Begins with those of four, drawn at random (RANSAC, locally optimised: Chum,
+// Matas and Kittler, 2003).
+Mask on_one_plane(const Plane& from, const Plane& to, double limit) {
+    const Eigen::Index count = from.rows();
+    std::minstd_rand random;  // the same draws on every machine
+    Mask best = Mask::Constant(count, false);
+    double needed = MOST_SAMPLES;
+    for (int sample = 0; sample < needed; ++sample) {
+        std::vector<Eigen::Index> rows;
+        while (rows.size() < static_cast<std::size_t>(LEAST_CORNERS)) {
+            const auto row = static_cast<Eigen::Index>(random()) % count;
+            if (std::find(rows.begin(), rows.end(), row) == rows.end()) rows.push_back(row);
+        }
+        // Four noisy corners hardly tell where those far from them are.
+        const Mask found =
+            grown(near(homography(chosen(from, rows), chosen(to, rows)), from, to, limit), from, to,
+                  limit);
+        if (found.count() <= best.count()) continue;
+        best = found;
+        const double share = static_cast<double>(best.count()) / static_cast<double>(count);
+        const double all = std::pow(share, LEAST_CORNERS);
+        if (all >= 1) break;
+        needed = std::min<double>(MOST_SAMPLES, std::log(1 - CONFIDENCE) / std::log1p(-all));
+    }
+    return best.count() < LEAST_CORNERS ? Mask::Constant(count, true) : best;
+}
+
 bool are_on_a_line(const Plane& plane) {
     const Plane apart = plane.rowwise() - plane.row(0);
     const Eigen::SelfAdjointEigenSolver<Eigen::Matrix2d> parts(apart.transpose() * apart);
@@ -155,4 +220,15 @@ TRIGPOINT_KERNEL(tp_plane_poses) {
         arguments[6].array.as<double>()[row] = found[i].rms;
     }
     return static_cast<std::int64_t>(kept);
+}
+
+// (points (n, 2) of a plane, where they are seen (n, 2), limit, which of them fit one plane (n,)):
+// how many.
+TRIGPOINT_KERNEL(tp_on_one_plane) {
+    const Plane from = arguments[0].array.rows<2>(), to = arguments[1].array.rows<2>();
+    if (from.rows() < LEAST_CORNERS || !from.allFinite() || !to.allFinite())
+        throw std::invalid_argument("too few points, or some that are not finite");
+    const Mask kept = on_one_plane(from, to, arguments[2].number);
+    std::copy(kept.begin(), kept.end(), arguments[3].array.as<bool>());
+    return kept.count();
 }

@@ -129,7 +129,7 @@ def test_odometry_by_runs_tells_the_solver_the_same(
     replay, runs = Replay(pipeline), 0
     for (node, kind), run in groupby(messages, lambda item: (item[0], type(item[1]))):
         came = [message for _, message in run]
-        readings = [Readings.of(m.stamp_ns, m.pose) for m in came if isinstance(m, Odometry)]
+        readings = [Readings.of([m]) for m in came if isinstance(m, Odometry)]
         runs += len(readings) > 1
         for message in [Readings.joined(readings)] if kind is Odometry else came:
             replay.take(node, message)

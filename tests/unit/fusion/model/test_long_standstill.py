@@ -5,7 +5,7 @@ import pytest
 
 from trigpoint.base.clock import to_ns
 from trigpoint.fusion.model import odometry
-from trigpoint.fusion.model.odometry import MOST_STANDING, Added, OdometryTrack
+from trigpoint.fusion.model.odometry import MOST_STANDING, Added, OdometryTrack, Readings
 from trigpoint.geometry import Pose
 from trigpoint.site.config import OdometryNoise
 
@@ -118,3 +118,25 @@ def test_a_robot_that_stands_still_after_a_lift_is_tied_to_where_it_stands_now()
     motion = track.motion(moments(last - 10, last, 2 * STANDS - 1), NO_SCALES)
     assert motion.is_still.tolist() == [False, True]
     assert len(track) < MOST_STANDING + 10
+
+
+@pytest.mark.parametrize("cut", [1, 700, 1500])
+def test_messages_that_come_at_once_are_taken_one_after_the_other(cut: int) -> None:
+    """A drive, a standstill, a message that is late, a jump, and a gap driven through."""
+    driven = np.concatenate([0.01 * np.arange(100), np.full(1200, 1.0), 1 + 0.01 * np.arange(99)])
+    stamps_ns = PERIOD_NS * np.arange(len(driven))
+    stamps_ns[1350] = stamps_ns[1340]
+    stamps_ns[1390:] += to_ns(3.0)
+    driven[1370:] += 4.0
+    poses = Pose.planar(driven, 0.1 * driven, 0.2 * driven)
+    single, at_once = (OdometryTrack(OdometryNoise(), planar=True) for _ in range(2))
+    each = [single.add(int(stamp_ns), poses[row]) for row, stamp_ns in enumerate(stamps_ns)]
+    readings = Readings(stamps_ns, poses)
+    found = at_once.add_run(readings[:cut]) + at_once.add_run(readings[cut:])
+    assert found == each
+    assert [each.count(kind) for kind in (Added.STALE, Added.JUMP)] == [1, 2]
+    assert len(at_once) == len(single) < len(driven) - 100
+    assert at_once.jump_steps == single.jump_steps
+    np.testing.assert_array_equal(at_once.stamps_ns, single.stamps_ns)
+    np.testing.assert_array_equal(at_once.odom_from_base.rows(), single.odom_from_base.rows())
+    np.testing.assert_array_equal(at_once.reported.rows(), single.reported.rows())

@@ -20,7 +20,7 @@ class Screen(io.StringIO):
 
 
 def test_columns_are_aligned_and_a_file_gets_plain_text() -> None:
-    lines = table(HEAD, ROWS, left=(0, 2), styles=["", "red"]).splitlines()
+    lines = table(HEAD, ROWS, left=(0, 2), colours=["", "red"]).splitlines()
     assert lines == [
         "camera         sigma cm",
         "c1                 0.84",
@@ -36,7 +36,7 @@ def test_a_terminal_has_colours(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdout", Screen())
     monkeypatch.setenv("TERM", "xterm-256color")
     monkeypatch.delenv("NO_COLOR", raising=False)
-    assert "\x1b[31m" in table(HEAD, ROWS, styles=["", "red"])
+    assert "\x1b[31m" in table(HEAD, ROWS, colours=["", "red"])
 
 
 def test_progress_is_shown_late_and_taken_back(monkeypatch: pytest.MonkeyPatch) -> None:
