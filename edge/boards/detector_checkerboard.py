@@ -83,9 +83,11 @@ class CheckerboardDetector(FaceFinder):
         if not is_in_view(grey, face, fit):
             return None
         place = placed_again(grey, pattern, fit, reach_px=reach_px)
-        if place is None or is_over() or not is_in_view(grey, face, place[0]):
+        if place is None or is_over():
             return None
         there, is_rough = place
+        if there is not fit and not is_in_view(grey, face, there):
+            return None
         blur = last.found.blur
         found = measured(grey, pattern, there, blur=blur, is_rough=is_rough)
         if found is None:
