@@ -5,6 +5,7 @@ picture is searched if nothing is followed, and occasionally for new faces; the 
 followed faces are searched more often.
 """
 
+import math
 from collections.abc import Sequence
 
 import cv2
@@ -178,11 +179,12 @@ class TargetTracker:
         self, grey: np.ndarray, track: Track, stamp_ns: int, is_over: IsOver
     ) -> Located | None:
         fit = track.fit_at(stamp_ns)
-        last, reach_px = track.located, track.reach_px(stamp_ns)
+        last = track.located
         is_sure = track.is_steady and track.change is not None
-        for reach in (0.0, reach_px) if is_sure else (reach_px,):
+        for is_there in (True, False) if is_sure else (False,):
             if is_over():
                 break
+            reach = 0.0 if is_there else track.reach_px(stamp_ns)
             located = self._finder(last).follow(grey, last, fit, reach_px=reach, is_over=is_over)
             if located is not None:
                 return located
@@ -264,9 +266,8 @@ def _renewed_track(last: Track | None, located: Located, stamp_ns: int) -> Track
     """The new track of a face just located; `last`: its track until now."""
     if last is None or len(located.found.corners) < LEAST_CORNERS:
         return Track(located, stamp_ns, None)
-    now, then = located.found.fit, last.located.found.fit
-    points = located.look.face.corners[:, :2]
-    before = fit_plane(points, then.project(points), now.size, has_lens=False, start=now)
+    now = located.found.fit
+    before = _with_lens_of(now, last.located)
     if before is None:
         return Track(located, stamp_ns, None)
     seconds = (stamp_ns - last.seen_ns) * 1e-9
@@ -274,6 +275,15 @@ def _renewed_track(last: Track | None, located: Located, stamp_ns: int) -> Track
     expected = last.fit_at(stamp_ns).residuals(_points(located), located.found.pixels)
     is_steady = last.change is None or median(expected) < NEAR_PX
     return Track(located, stamp_ns, change, is_steady=is_steady)
+
+
+def _with_lens_of(fit: PlanarFit, located: Located) -> PlanarFit | None:
+    """Where a face lies, by a fit of the same lens and bend as `fit`; None where there is none."""
+    own = located.found.fit
+    if fit.bend is own.bend is None and np.array_equal(fit.lens, own.lens):
+        return own
+    points = located.look.face.corners[:, :2]
+    return fit_plane(points, own.project(points), fit.size, has_lens=False, start=fit)
 
 
 def _points(located: Located) -> Array:
@@ -284,8 +294,8 @@ def _points(located: Located) -> Array:
 def _scaled(homography: Array) -> Array:
     """The homography scaled so that its first two columns together have length 1, which stays so
     while a face moves without turning, and points are in front of the camera."""
-    length = np.linalg.norm(homography[:, :2])
-    return homography * (np.sign(homography[2, 2]) / length)
+    across = homography[:, :2].ravel()
+    return homography * math.copysign(1 / math.sqrt(across @ across), homography[2, 2])
 
 
 def _covered(grey: np.ndarray, found: Sequence[Located]) -> np.ndarray:

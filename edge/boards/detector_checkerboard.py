@@ -26,7 +26,7 @@ from trigpoint.geometry.rotation import Array
 from trigpoint.site.target import Face
 
 from .evidence import weighed
-from .grid import Grid, GridSearch
+from .grid import LEAST_CORNERS, Grid, GridSearch
 from .misdescribed import unexpected
 from .placement import Placement, keeps_its_place, placed
 from .tuning import TUNING
@@ -83,9 +83,11 @@ class CheckerboardDetector(FaceFinder):
         if not is_in_view(grey, face, fit):
             return None
         place = placed_again(grey, pattern, fit, reach_px=reach_px)
-        if place is None or is_over() or not is_in_view(grey, face, place[0]):
+        if place is None or is_over():
             return None
         there, is_rough = place
+        if there is not fit and not is_in_view(grey, face, there):
+            return None
         blur = last.found.blur
         found = measured(grey, pattern, there, blur=blur, is_rough=is_rough)
         if found is None:
@@ -116,7 +118,7 @@ class CheckerboardDetector(FaceFinder):
             if board is None:
                 self._look_for_unexpected(grid, source, is_over)
                 continue
-            if len(board.rest) >= self._least:
+            if len(board.rest) >= max(self._least, LEAST_CORNERS):
                 waiting.append(board.rest)
             sighting = _measured(board, source, is_over)
             if sighting and not any(_same_place(sighting, other) for other in found):
@@ -128,9 +130,7 @@ class CheckerboardDetector(FaceFinder):
         self, grid: Grid, search: GridSearch, source: "_Source", allowance: "_Allowance"
     ) -> Placement | None:
         """The board that a grid is, grown where it is not whole; None where it is none."""
-        if len(grid) < max(
-            TUNING.least_seed, TUNING.least_filled * grid.extent[0] * grid.extent[1]
-        ):
+        if len(grid) < TUNING.least_filled * grid.extent[0] * grid.extent[1]:
             return None
         grid = grid.cleaned()
         board = self._placed(grid, source)
@@ -153,7 +153,7 @@ class CheckerboardDetector(FaceFinder):
         """Note where a grid is a board that may be meant by one of the looks; each look is noted
         once, and then not asked for any more."""
         looks = list(self._unexpected)
-        if len(grid) < TUNING.least_seed or not looks or is_over():
+        if not looks or is_over():
             return
         board = self._placed(grid.cleaned(), source, looks)
         if board is None or _measured(board, source, is_over) is None:

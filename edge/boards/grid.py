@@ -7,9 +7,8 @@ from msgspec import Struct
 from trigpoint.geometry.rotation import Array
 from trigpoint.native.library import Handle, In, Kernel, Out
 
-# As of `boards/saddles.hpp`: the strongest stay.
-MOST_CORNERS = 800
-_LEAST_CORNERS = 4
+# As of `boards/saddles.hpp`, the strongest stay, and of `boards/grid.hpp`.
+MOST_CORNERS, LEAST_CORNERS = 800, 9
 
 
 class _Curvature(Handle):
@@ -75,7 +74,7 @@ class GridSearch:
     def __init__(self) -> None:
         self._curvature = _Curvature()
         self._rows = np.empty((_MOST_GROWN, 5))
-        self._sizes = np.empty(MOST_CORNERS // _LEAST_CORNERS)
+        self._sizes = np.empty(MOST_CORNERS // LEAST_CORNERS)
 
     def take(self, grey: np.ndarray) -> int:
         """Look at a grey picture, (height, width) uint8; how many X corners it has."""

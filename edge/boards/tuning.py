@@ -7,9 +7,6 @@ from msgspec import Struct
 class CheckerboardTuning(Struct, frozen=True):
     """All numbers of the search; pixels are those of the picture that is searched."""
 
-    # Growth. Three by three corners predict those beside them both ways.
-    least_seed: int = 9
-
     # Place. Of a board's corners, how many must be seen: of two halves only one is.
     least_share: float = 0.55
 

@@ -85,12 +85,11 @@ class MarkedBoard(Struct, frozen=True, eq=False):
         corners = self.pattern.points[found.corners]
         apart = np.abs(corners[:, None] - self.layout.mean(axis=1)[None])
         touches = np.any(np.all(apart < 0.75 * self.face.square, axis=-1), axis=0)
-        return np.flatnonzero(self._is_inside(grey, found) & touches)
+        return np.flatnonzero(_are_inside(grey, self._placed(found.fit)) & touches)
 
-    def _is_inside(self, grey: np.ndarray, found: Measured) -> np.ndarray:
-        """Which markers (m,) lie wholly in the picture."""
-        quads = found.fit.project(self.layout.reshape(-1, 2)).reshape(-1, 4, 2)
-        return np.all((quads > 0) & (quads < np.array(grey.shape[::-1]) - 1), axis=(1, 2))
+    def _placed(self, fit: PlanarFit) -> Array:
+        """The markers' corners in the picture, (m, 4, 2)."""
+        return fit.project(self.layout.reshape(-1, 2)).reshape(-1, 4, 2)
 
     def _least_corners(self, markers: int) -> int:
         """How many corners must be seen beside so many markers: a tag alone has four."""
@@ -119,12 +118,14 @@ class MarkedBoard(Struct, frozen=True, eq=False):
         still = in_view(found.fit, self.pattern.points[last.corners], size)
         if len(found.corners) < LEAST_AGAIN * len(still):
             return None
-        numbers = np.flatnonzero(self._is_inside(grey, found))
+        quads = self._placed(found.fit)
+        numbers = np.flatnonzero(_are_inside(grey, quads))
         if len(numbers) == 0 or len(found.corners) < self._least_corners(len(numbers)):
             return None
-        scores = self._agreement(grey, found.fit, numbers, reader)
+        scores = np.sort(reader.agreement(grey, self.face, quads[numbers], numbers))
         least = _LEAST_OF_FEW.get(len(numbers), LEAST_AGREEMENT)
-        return found if np.median(scores) >= least else None
+        half = len(scores) // 2
+        return found if 0.5 * (scores[half] + scores[~half]) >= least else None
 
     def agrees(
         self, grey: np.ndarray, fit: PlanarFit, numbers: np.ndarray, reader: MarkerReader
@@ -141,3 +142,8 @@ class MarkedBoard(Struct, frozen=True, eq=False):
         """How well each of the markers `numbers` matches where a fit puts it, (n,)."""
         quads = fit.project(self.layout[numbers].reshape(-1, 2)).reshape(-1, 4, 2)
         return reader.agreement(grey, self.face, quads, numbers)
+
+
+def _are_inside(grey: np.ndarray, quads: Array) -> np.ndarray:
+    """Which quadrilaterals (m, 4, 2) lie wholly in the picture, (m,)."""
+    return np.all((quads > 0) & (quads < np.array(grey.shape[::-1]) - 1), axis=(1, 2))

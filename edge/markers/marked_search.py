@@ -60,7 +60,7 @@ class MarkedSearch(FaceFinder):
         for board in found:
             self._wrong.confirm(board.look)
         if self._denied or not (found or within or is_over()):
-            self._wrong.look(grey, self._denied, has_time=is_over is never)
+            self._wrong.look(grey, self._denied, is_over)
         self.misdescribed = tuple(self._wrong.lines.values())
         return [board for board in found if board.look not in self._wrong.refused]
 

@@ -51,7 +51,7 @@ class Markers(Struct, frozen=True):
 
     def each_once(self) -> "Markers":
         """Each number once, where it is likeliest."""
-        return self._only(np.unique(self.numbers, return_index=True)[1])
+        return self._only(np.sort(np.unique(self.numbers, return_index=True)[1]))
 
     def _only(self, kept: slice | np.ndarray) -> "Markers":
         return Markers(self.numbers[kept], self.corners[kept], self.scores[kept], self.quads[kept])

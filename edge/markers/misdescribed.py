@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 from msgspec import Struct
 
+from trigpoint.edge.image.time_limit import IsOver, never
 from trigpoint.edge.registration.appearance import Appearance
 from trigpoint.edge.registration.dictionaries import predefined_dictionary
 from trigpoint.geometry.rotation import Array
@@ -25,7 +26,7 @@ from trigpoint.site.target import Face, Pattern
 from .marker_groups import LEAST_MEMBER, MarkerGroup, group_markers
 from .markers import MarkerReader, Markers, reader_key, readers_for, whole_reader
 from .other_boards import Other, Others, others
-from .other_sizes import OtherSize, layout_of, other_size
+from .other_sizes import MOST_VOTERS, READINGS_A_VOTER, OtherSize, layout_of, other_size
 from .quads import QuadFinder
 
 # How well a code must be read: an eighth of its bits may be wrong.
@@ -42,6 +43,9 @@ _LEAST_SHARE = 0.6
 # each of the first ten, which is all of them. Then two in every fifth, since most cameras see no
 # board most of the time.
 _AT_ONCE, _FIRST, _A_PICTURE, _EVERY = 3, 10, 2, 5
+# So many readings of quadrilaterals a picture gets, then the next one goes on: all boards together
+# ask for 8000 in the median photograph, 18,000 at most, and for 80,000 before a wall of tags.
+_MOST_READ = 20_000
 # So often a board is contradicted that is none of the others, before that is said.
 _OFTEN = 3
 
@@ -67,21 +71,25 @@ class MisdescribedBoards:
         self.lines: dict[Appearance, str] = {}
         self.refused: set[Appearance] = set()
 
-    def look(self, grey: np.ndarray, denied: set[Appearance], *, has_time: bool) -> None:
+    def look(self, grey: np.ndarray, denied: set[Appearance], is_over: IsOver = never) -> None:
         """Look for other boards in a picture in which none was found, or which contradicts those
-        that are `denied`; `has_time`: nobody waits for the picture's end."""
+        that are `denied`; what there is no time for is looked for in the next one."""
         self._pictures += 1
         count = len(self._waiting)
-        if not denied and (self._pictures > _AT_ONCE or not has_time):
+        if not denied and (self._pictures > _AT_ONCE or is_over is not never):
             count = self._share(count)
-        tried, self._waiting = self._waiting[:count], self._waiting[count:]
-        scene = _Scene(grey, self._finder, self._readers)
-        for one in tried:
+        tried: list[_Tried] = []
+        scene = _Scene(grey, self._finder, self._readers, is_over)
+        for one in self._waiting[:count]:
+            if is_over() or scene.read_so_far > _MOST_READ:
+                break
+            tried.append(one)
             shown = None if one.look in self._named else one.shown(scene)
             if shown and not (isinstance(shown, OtherSize) and one.look in self._confirmed):
                 self.lines[one.look] = shown.remedy
                 self._named[one.look] = shown
-        self._waiting += [one for one in tried if one.look not in self._named]
+        left = [one for one in tried if one.look not in self._named]
+        self._waiting = self._waiting[len(tried) :] + left
         for look in denied:
             self._deny(look)
 
@@ -130,7 +138,7 @@ class _Own(Struct, frozen=True):
         """The board that has most markers in their places."""
         known, best = scene.best(self.look, self.others)
         read = scene.own_markers(self.look.face)
-        size = other_size(self.look, read)
+        size = other_size(self.look, read, scene.is_over)
         if size and not size.is_as_described:
             count = scene.sure(size, read)
             if count > known and count >= _fewest(size.face):
@@ -162,18 +170,26 @@ class _Shown(Struct, frozen=True):
 
 
 class _Scene:
-    """One picture in every way in which boards are looked for in it."""
+    """One picture in every way in which boards are looked for in it; `read_so_far`: how many
+    quadrilaterals were, each time."""
 
     def __init__(
-        self, grey: np.ndarray, finder: QuadFinder, readers: dict[tuple[str, int], MarkerReader]
+        self,
+        grey: np.ndarray,
+        finder: QuadFinder,
+        readers: dict[tuple[str, int], MarkerReader],
+        is_over: IsOver,
     ) -> None:
         self._grey, self._finder, self._readers = grey, finder, readers
+        self.is_over = is_over
         self._known: dict[tuple[bool, bool], _Shown] = {}
+        self.read_so_far = 0
 
     def read(self, face: Face, *, is_mirrored: bool = False) -> int:
         """How many of a face's markers are surely read and agree on one place of it, where they are
         most of those in view; else 0."""
         shown, key = self._shown(face.inverted, is_mirrored), reader_key(face)
+        self.read_so_far += len(shown.quads)
         if len(shown.quads) == 0:
             return 0
         if key not in shown.scores:
@@ -195,7 +211,9 @@ class _Scene:
         shown = self._shown(face.inverted, False)
         reader = whole_reader(*reader_key(face))
         scores = reader.scores(shown.grey, shown.quads)
-        return reader.likeliest(scores, shown.quads, _PLAINLY).each_once()
+        read = reader.likeliest(scores, shown.quads, _PLAINLY).each_once()
+        self.read_so_far += READINGS_A_VOTER * min(len(read), MOST_VOTERS)
+        return read
 
     def sure(self, size: OtherSize, read: Markers) -> int:
         """As `read`, of a board that the markers that were read suggest."""

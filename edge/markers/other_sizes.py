@@ -12,6 +12,8 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from trigpoint.base.errors import TargetError
+from trigpoint.edge.image.median import median
+from trigpoint.edge.image.time_limit import IsOver, never
 from trigpoint.edge.registration.appearance import Appearance
 from trigpoint.edge.registration.dictionaries import dictionary_of
 from trigpoint.edge.registration.printed_pattern import charuco_layout
@@ -29,6 +31,9 @@ LEAST_VOTES = 6
 _NEAR, _MARKER_SHARE = 0.2, 0.1
 # Where six of ten markers are on the board, so many draws of four miss it once in 250 times.
 _MOST_TRIES = 40
+# So many markers vote, the surest: a wall has hundreds. On all boards together a marker's vote
+# takes as long as so many readings of a quadrilateral.
+MOST_VOTERS, READINGS_A_VOTER = 40, 200
 
 
 class OtherSize(Struct, frozen=True):
@@ -72,20 +77,28 @@ class OtherSize(Struct, frozen=True):
         )
 
 
-def other_size(look: Appearance, read: Markers) -> OtherSize | None:
-    """What most of the markers that were `read`, each once and by its id, agree on, the file's own
-    numbers before others; None where too few agree, or as many on boards of other widths."""
+def other_size(look: Appearance, read: Markers, is_over: IsOver = never) -> OtherSize | None:
+    """What most of the markers that were `read`, each once and by its id, the surest first, agree
+    on, the file's own numbers before others; None where too few agree, or as many on boards of
+    other widths, or the time is over."""
     if len(read) < LEAST_VOTES:
         return None
     own = _voted(look, look.face, read)
     if own and len(own.which) == len(read):
         return own
-    others = (_voted(look, face, read) for face in _faces(look.face, read.numbers))
-    found = [each for each in (own, *others) if each]
-    most = max((len(each.which) for each in found), default=0)
-    best = [each for each in found if len(each.which) == most]
-    is_told = len({each.face.columns for each in best}) == 1
-    return best[0] if is_told or (best and best[0].face.columns == look.face.columns) else None
+    few, faces = read.first(MOST_VOTERS), (look.face, *_faces(look.face, read.numbers))
+    voted = list[tuple[Face, OtherSize]]()
+    for face in faces:
+        if is_over():
+            return None
+        if each := _voted(look, face, few):
+            voted.append((face, each))
+    most = max((len(each.which) for _, each in voted), default=0)
+    best = [(face, each.face.columns) for face, each in voted if len(each.which) == most]
+    columns = {columns for _, columns in best}
+    if not best or (len(columns) > 1 and best[0][1] != look.face.columns):
+        return None
+    return _voted(look, best[0][0], read)
 
 
 def _voted(look: Appearance, face: Face, read: Markers) -> OtherSize | None:
@@ -144,7 +157,7 @@ def _agreeing(layout: Array, corners: Array) -> tuple[Array | None, np.ndarray]:
     """The homography from the board that most markers (n, 4, 2) agree on, by their middles, and
     which do, (n,)."""
     sides = np.linalg.norm(corners[:, 2] - corners[:, 0], axis=-1) / np.sqrt(2)
-    near = _NEAR * float(np.median(sides))
+    near = _NEAR * median(sides)
     fit, agree = cv2.findHomography(
         layout.mean(axis=1), corners.mean(axis=1), cv2.RANSAC, near, maxIters=_MOST_TRIES
     )
@@ -170,7 +183,7 @@ def _as_seen(face: Face, numbers: np.ndarray, corners: Array, fit: Array) -> Fac
     """The face with the rows that are seen, and markers as large as they are seen."""
     there = corners.reshape(1, -1, 2).astype(float)
     back = cv2.perspectiveTransform(there, np.linalg.inv(fit)).reshape(-1, 4, 2)
-    side = float(np.median(np.linalg.norm(back[:, 2] - back[:, 0], axis=-1) / np.sqrt(2)))
+    side = median(np.linalg.norm(back[:, 2] - back[:, 0], axis=-1) / np.sqrt(2))
     told = face.marker or 0.0
     is_other = abs(side - told) > _MARKER_SHARE * told and side < face.square
     seen = _reaching(face, face.first_marker + int(numbers.max())) or face

@@ -44,6 +44,11 @@ class PlanarFit(Struct, frozen=True):
         return width, height
 
     @property
+    def lens(self) -> Array:
+        """The numbers of the lens and of its place, (4,)."""
+        return np.concatenate([self.radial, self.aside])
+
+    @property
     def packed(self) -> Array:
         """As it crosses the border to the core, (FIT,)."""
         numbers = np.zeros(FIT)

@@ -43,17 +43,17 @@ def printed_pattern_of(face: Face, square_px: float) -> PrintedPattern:
 
 @cache
 def charuco_layout(face: Face) -> Array:
-    """The markers' corners in the face frame by number, (m, 4, 2), metres; not to be written to."""
-    board = cv2.aruco.CharucoBoard(
-        (face.columns, face.rows),
-        face.square,
-        face.marker or 0.0,
-        dictionary_of(face),
-    )
-    board.setLegacyPattern(face.legacy)
-    corners = np.array(board.getObjPoints(), dtype=float).reshape(-1, 4, 3)
-    # OpenCV's origin is the board's outer corner, the contract's is corner 0.
-    layout = corners[..., :2] - face.square
+    """The markers' corners in the face frame by number, (m, 4, 2), metres; not to be written to.
+
+    In the light squares, row by row, as OpenCV's CharucoBoard has them; before its version 4.6 a
+    board with an even number of rows began with one (legacy).
+    """
+    y, x = np.indices((face.rows, face.columns)).reshape(2, -1)
+    is_light = (x + y + (face.legacy and face.rows % 2 == 0)) % 2 == 1
+    marker = face.marker or 0.0
+    # Corner 0 is a square away from the board's own corner.
+    first = np.stack([x, y], axis=-1)[is_light] * face.square - (face.square + marker) / 2
+    layout = first[:, None] + marker * np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
     layout.flags.writeable = False
     return layout
 

@@ -26,10 +26,15 @@ struct Link {
 };
 using Links = std::array<Link, 4>;
 
-// Corners in square cells of a picture, to find the nearest ones.
+// Corners in square cells of a picture, cell by cell, to find the nearest ones.
 class Cells {
 public:
-    explicit Cells(const std::vector<Saddle>& saddles) : saddles_(saddles) {
+    struct Near {
+        float squared, x, y;
+        int corner;
+    };
+
+    explicit Cells(const std::vector<Saddle>& saddles) : all_(saddles.size()) {
         Place low = saddles[0].pixel, high = low;
         for (const Saddle& saddle : saddles) {
             low = {std::min(low.x, saddle.pixel.x), std::min(low.y, saddle.pixel.y)};
@@ -38,64 +43,56 @@ public:
         low_ = low;
         const float area = (high.x - low.x + 1) * (high.y - low.y + 1);
         side_ = std::max(1.0F, std::sqrt(area * A_CELL / static_cast<float>(saddles.size())));
-        columns_ = static_cast<int>((high.x - low.x) / side_) + 1;
-        rows_ = static_cast<int>((high.y - low.y) / side_) + 1;
+        columns_ = column_of(high.x) + 1, rows_ = row_of(high.y) + 1;
         first_.assign(static_cast<std::size_t>(columns_) * rows_ + 1, 0);
-        order_.resize(saddles.size());
+        const auto cell = [&](Place at) { return row_of(at.y) * columns_ + column_of(at.x); };
         for (const Saddle& saddle : saddles) ++first_[cell(saddle.pixel) + 1];
         for (std::size_t i = 1; i < first_.size(); ++i) first_[i] += first_[i - 1];
         std::vector<int> next(first_.begin(), first_.end() - 1);
         for (std::size_t i = 0; i < saddles.size(); ++i)
-            order_[next[cell(saddles[i].pixel)]++] = static_cast<int>(i);
+            all_[next[cell(saddles[i].pixel)]++] = {saddles[i].pixel, static_cast<int>(i)};
     }
 
-    struct Near {
-        float squared;
-        int corner;
-        bool operator<(const Near& other) const { return squared < other.squared; }
-    };
-
-    // The nearest corners of one, rising by distance, NEAREST at most.
-    const std::vector<Near>& about(int corner) {
-        const Place here = saddles_[corner].pixel;
-        const int column = static_cast<int>((here.x - low_.x) / side_),
-                  row = static_cast<int>((here.y - low_.y) / side_);
-        const int all = std::max(columns_, rows_);
+    // The NEAREST corners of one and, in no order, others that are further; with where they lie
+    // from it.
+    const std::vector<Near>& about(int corner, Place here) {
+        const int column = column_of(here.x), row = row_of(here.y);
+        const int whole = std::max(columns_, rows_);
         for (int reach = 1;; ++reach) {
+            // What lies in no cell that is looked at is further than this.
+            const float sure = static_cast<float>(reach) * side_;
+            const float most = reach >= whole ? INFINITY : sure * sure;
+            const int from = std::max(column - reach, 0),
+                      to = std::min(column + reach, columns_ - 1);
             found_.clear();
             for (int y = std::max(row - reach, 0); y <= std::min(row + reach, rows_ - 1); ++y) {
-                const int from = std::max(column - reach, 0),
-                          to = std::min(column + reach, columns_ - 1);
                 for (int i = first_[y * columns_ + from]; i < first_[y * columns_ + to + 1]; ++i) {
-                    const Place there = saddles_[order_[i]].pixel;
-                    const float dx = there.x - here.x, dy = there.y - here.y;
-                    if (order_[i] != corner) found_.push_back({dx * dx + dy * dy, order_[i]});
+                    const float x_off = all_[i].pixel.x - here.x, y_off = all_[i].pixel.y - here.y;
+                    const float squared = x_off * x_off + y_off * y_off;
+                    if (squared <= most && all_[i].corner != corner)
+                        found_.push_back({squared, x_off, y_off, all_[i].corner});
                 }
             }
-            const std::size_t count = std::min(NEAREST, found_.size());
-            std::partial_sort(found_.begin(), found_.begin() + count, found_.end());
-            // What lies in no cell that was looked at is further than this.
-            const float sure = static_cast<float>(reach) * side_;
-            if (reach >= all || (count == NEAREST && found_[count - 1].squared <= sure * sure)) {
-                found_.resize(count);
-                return found_;
-            }
+            if (reach >= whole || found_.size() >= NEAREST) return found_;
         }
     }
 
 private:
-    static constexpr float A_CELL = 4;  // corners, on average
+    static constexpr float A_CELL = 1.5F;  // corners, on average
 
-    int cell(Place at) const {
-        return static_cast<int>((at.y - low_.y) / side_) * columns_ +
-               static_cast<int>((at.x - low_.x) / side_);
-    }
+    struct Member {
+        Place pixel;
+        int corner;
+    };
 
-    const std::vector<Saddle>& saddles_;
+    int column_of(float x) const { return static_cast<int>((x - low_.x) / side_); }
+    int row_of(float y) const { return static_cast<int>((y - low_.y) / side_); }
+
     Place low_{};
     float side_ = 1;
     int columns_ = 1, rows_ = 1;
-    std::vector<int> first_, order_;
+    std::vector<int> first_;
+    std::vector<Member> all_;
     std::vector<Near> found_;
 };
 
@@ -104,12 +101,13 @@ struct Axes {
     float x[2], y[2];
 };
 
-// Which direction of a corner is nearest to (x, y), a unit vector; -1 where none is near enough.
-int direction_towards(const Axes& axes, float x, float y) {
+// Which direction of a corner is nearest to a step; -1 where none is near enough.
+int direction_towards(const Axes& axes, float x, float y, float squared) {
     const float first = axes.x[0] * x + axes.y[0] * y, second = axes.x[1] * x + axes.y[1] * y;
     const bool is_second = std::abs(second) > std::abs(first);
     const float best = is_second ? second : first;
-    return std::abs(best) > LEAST_COSINE ? is_second + 2 * (best < 0) : -1;
+    const bool is_near = best * best > LEAST_COSINE * LEAST_COSINE * squared;
+    return is_near ? is_second + 2 * (best < 0) : -1;
 }
 
 // Each corner's nearest fitting neighbour by direction.
@@ -124,22 +122,32 @@ std::vector<Links> chosen(const std::vector<Saddle>& saddles) {
     Cells cells(saddles);
     std::vector<Links> links(saddles.size());
     for (std::size_t i = 0; i < saddles.size(); ++i) {
-        const Place here = saddles[i].pixel;
-        for (const auto& near : cells.about(static_cast<int>(i))) {
-            const Place there = saddles[near.corner].pixel;
-            const float length = std::max(std::sqrt(near.squared), 1e-6F);
-            const float x = (there.x - here.x) / length, y = (there.y - here.y) / length;
-            const int ahead = direction_towards(axes[i], x, y);
-            if (ahead < 0 || links[i][ahead].to >= 0) continue;
-            const int behind = direction_towards(axes[near.corner], -x, -y);
-            if (behind >= 0 && (ahead + behind) % 2 == 1) links[i][ahead] = {near.corner, behind};
+        const auto& about = cells.about(static_cast<int>(i), saddles[i].pixel);
+        std::array<float, 4> least;
+        least.fill(INFINITY);
+        for (const auto& near : about) {
+            const int ahead = direction_towards(axes[i], near.x, near.y, near.squared);
+            if (ahead < 0 || near.squared >= least[ahead]) continue;
+            const int behind = direction_towards(axes[near.corner], -near.x, -near.y, near.squared);
+            if (behind < 0 || (ahead + behind) % 2 == 0) continue;
+            links[i][ahead] = {near.corner, behind};
+            least[ahead] = near.squared;
+        }
+        for (int k = 0; k < 4; ++k) {
+            if (links[i][k].to < 0) continue;
+            const auto nearer = std::count_if(about.begin(), about.end(), [&](const auto& near) {
+                return near.squared < least[k];
+            });
+            if (nearer >= static_cast<std::ptrdiff_t>(NEAREST)) links[i][k] = {};
         }
     }
     return links;
 }
 
+float length(float x, float y) { return std::sqrt(x * x + y * y); }
+
 float distance(const Saddle& first, const Saddle& second) {
-    return std::hypot(first.pixel.x - second.pixel.x, first.pixel.y - second.pixel.y);
+    return length(first.pixel.x - second.pixel.x, first.pixel.y - second.pixel.y);
 }
 
 // Links that both ends chose, without those much longer than the opposite one at the same corner.
@@ -228,8 +236,8 @@ private:
             if (behind == taken_.end() || ahead == taken_.end()) continue;
             const float other_x = ahead->second.x - behind->second.x,
                         other_y = ahead->second.y - behind->second.y;
-            if (std::hypot(to.x - from.x - other_x, to.y - from.y - other_y) >
-                MOST_CHANGED * std::hypot(other_x, other_y))
+            if (length(to.x - from.x - other_x, to.y - from.y - other_y) >
+                MOST_CHANGED * length(other_x, other_y))
                 return false;
         }
         return true;

@@ -12,8 +12,8 @@
 
 namespace trigpoint {
 
-// Fewer corners are chance.
-constexpr std::size_t LEAST_CORNERS = 4;
+// Fewer corners are chance: three by three predict those beside them both ways.
+constexpr std::size_t LEAST_CORNERS = 9;
 
 // A corner of a grid. Its place: x × y points into the picture (never mirrored); `is_dark`: whether
 // the square towards (-x, -y) is dark.

@@ -9,8 +9,6 @@ namespace trigpoint {
 namespace {
 
 constexpr float NONE = std::numeric_limits<float>::quiet_NaN();
-// Three by three corners predict those beside them both ways.
-constexpr std::size_t LEAST_SEED = 9;
 constexpr int MOST_ROUNDS = 8;
 // How often a grid's wild corners are dropped, the wildest first.
 constexpr int MOST_DROPS = 4;
@@ -185,7 +183,7 @@ Grid cleaned(Grid grid) {
 Grid grown(Grid grid, const Curvature& curvature, int longest) {
     for (int round = 0; round < MOST_ROUNDS; ++round) {
         const Extent extent = Extent::of(grid);
-        if (grid.size() < LEAST_SEED || std::max(extent.width(), extent.height()) > longest + 1)
+        if (grid.size() < LEAST_CORNERS || std::max(extent.width(), extent.height()) > longest + 1)
             break;
         Grid more = grid;
         if (!add_found_beside(more, curvature)) break;

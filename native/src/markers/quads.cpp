@@ -113,7 +113,7 @@ Grey QuadSearch::parted(const Grey& grey) {
 void QuadSearch::threshold(const Grey& grey, int window) {
     width_ = grey.width, height_ = grey.height;
     const std::int64_t half = window / 2;
-    dark_.resize(width_ * height_);
+    dark_.assign((width_ + 2) * (height_ + 2), 0);
     columns_.assign(width_ + 2 * half, 0);
     std::uint16_t* sums = columns_.data() + half;
     const auto row = [&](std::int64_t y) {
@@ -126,11 +126,10 @@ void QuadSearch::threshold(const Grey& grey, int window) {
         if (y > 0) slide(sums, row(y + half), row(y - half - 1), width_);
         std::fill(columns_.begin(), columns_.begin() + half, sums[0]);
         std::fill(columns_.end() - half, columns_.end(), sums[width_ - 1]);
-        std::uint8_t* dark = dark_.data() + y * width_;
         if (window == 5)
-            compare_5(grey.row(y), columns_.data(), dark, width_);
+            compare_5(grey.row(y), columns_.data(), dark(y), width_);
         else
-            compare_11(grey.row(y), columns_.data(), dark, width_);
+            compare_11(grey.row(y), columns_.data(), dark(y), width_);
     }
 }
 
@@ -138,16 +137,15 @@ void QuadSearch::threshold(const Grey& grey, int window) {
 bool QuadSearch::find_runs() {
     runs_.clear();
     for (std::int64_t y = 0; y < height_; ++y) {
-        const std::uint8_t* dark = dark_.data() + y * width_;
-        const std::uint8_t* end = dark + width_;
-        for (const std::uint8_t* at = dark; at != end;) {
+        const std::uint8_t *row = dark(y), *end = row + width_;
+        for (const std::uint8_t* at = row; at != end;) {
             at = static_cast<const std::uint8_t*>(std::memchr(at, 1, end - at));
             if (at == nullptr) break;
-            const auto* after = static_cast<const std::uint8_t*>(std::memchr(at, 0, end - at));
-            after = after == nullptr ? end : after;
+            const auto* after = at + 1;
+            while (*after != 0) ++after;  // most are short
             if (runs_.size() == MOST_RUNS) return false;
-            runs_.push_back({static_cast<std::int32_t>(at - dark),
-                             static_cast<std::int32_t>(after - dark), static_cast<std::int32_t>(y),
+            runs_.push_back({static_cast<std::int32_t>(at - row),
+                             static_cast<std::int32_t>(after - row), static_cast<std::int32_t>(y),
                              -1});
             at = after;
         }
@@ -197,13 +195,17 @@ void QuadSearch::join_runs() {
 bool QuadSearch::trace(const Piece& piece, std::size_t most) {
     outline_.clear();
     Point at = piece.first;
+    const std::ptrdiff_t down = width_ + 2;
+    std::array<std::ptrdiff_t, 8> steps;
+    for (int k = 0; k < 8; ++k) steps[k] = AROUND[k][0] + AROUND[k][1] * down;
+    const std::uint8_t* here = dark(at.y) + at.x;
     int from = 4;  // what is to the left of the first pixel of a first row is light
     int first_step = -1;
     while (outline_.size() < most) {
         int step = -1;
         for (int k = 1; k <= 8; ++k) {
             const int direction = (from + k) % 8;
-            if (is_dark(at.x + AROUND[direction][0], at.y + AROUND[direction][1])) {
+            if (here[steps[direction]] != 0) {
                 step = direction;
                 break;
             }
@@ -215,6 +217,7 @@ bool QuadSearch::trace(const Piece& piece, std::size_t most) {
         }
         outline_.push_back(at);
         at = {at.x + AROUND[step][0], at.y + AROUND[step][1]};
+        here += steps[step];
         from = (step + 4) % 8;
     }
     return false;
@@ -244,27 +247,26 @@ void QuadSearch::add_quad_of_outline() {
     waiting[left++] = {first, to};
     std::array<Eigen::Vector2d, MOST_CORNERS> corners;
     std::size_t found = 0;
-    const auto at = [&](std::size_t i) {
-        const Point& point = outline_[i % count];
-        return Eigen::Vector2d(point.x, point.y);
-    };
+    const auto at = [&](std::size_t i) { return outline_[i < count ? i : i - count]; };
     while (left > 0) {
         const auto [begin, end] = waiting[--left];
-        const Eigen::Vector2d a = at(begin), along = at(end) - a;
-        const double length = std::max(along.norm(), 1e-9);
-        double far = 0;
+        const Point a = at(begin), b = at(end);
+        const std::int64_t along_x = b.x - a.x, along_y = b.y - a.y;
+        std::int64_t far = 0;  // times the length
         std::size_t where = begin;
         for (std::size_t i = begin + 1; i < end; ++i) {
-            const double off = std::abs(cross(along, at(i) - a)) / length;
+            const Point point = at(i);
+            const std::int64_t off =
+                std::abs(along_x * (point.y - a.y) - along_y * (point.x - a.x));
             if (off > far) far = off, where = i;
         }
-        if (far > most) {
+        if (static_cast<double>(far) > most * std::hypot(along_x, along_y)) {
             if (left + 2 > waiting.size()) return;
             waiting[left++] = {where, end};
             waiting[left++] = {begin, where};
         } else {
             if (found == MOST_CORNERS) return;
-            corners[found++] = a;
+            corners[found++] = {a.x, a.y};
         }
     }
     for (std::size_t i = 0; i < found && found > 4;) {

@@ -45,9 +45,8 @@ private:
     std::int32_t root(std::int32_t run);
     // The outline of a piece, clockwise; whether it closes within `most` points.
     bool trace(const Piece& piece, std::size_t most);
-    bool is_dark(std::int32_t x, std::int32_t y) const {
-        return x >= 0 && y >= 0 && x < width_ && y < height_ && dark_[y * width_ + x] != 0;
-    }
+    // Whether pixels of a row are dark, 1 or 0; about the picture lies one more that is not.
+    std::uint8_t* dark(std::int64_t y) { return dark_.data() + (y + 1) * (width_ + 2) + 1; }
     void add_quad_of_outline();
 
     std::int64_t width_ = 0, height_ = 0;

@@ -1,0 +1,58 @@
+"""How much is looked for in one picture in place of the file's boards."""
+
+import cv2
+import numpy as np
+import pytest
+
+from trigpoint.edge.markers import misdescribed
+from trigpoint.edge.markers.misdescribed import MisdescribedBoards
+from trigpoint.edge.registration.appearance import Appearance
+from trigpoint.site.target import NOWHERE, Face, Pattern
+
+BOARD = Face(*(0, Pattern.CHARUCO, 5, 7, 0.036, *NOWHERE), marker=0.018, dictionary="DICT_6X6_250")
+SIDE, CELL = 16, 24
+
+
+@pytest.fixture(name="tried")
+def _tried(monkeypatch: pytest.MonkeyPatch) -> list[object]:
+    """What was looked for, in order."""
+    tried = list[object]()
+    best = misdescribed._Scene.best  # pyright: ignore[reportPrivateUsage]
+
+    def recorded(scene: object, look: object, others: object) -> object:
+        tried.append(others)
+        return best(scene, look, others)  # pyright: ignore[reportArgumentType]
+
+    monkeypatch.setattr(misdescribed._Scene, "best", recorded)  # pyright: ignore
+    return tried
+
+
+def wall() -> np.ndarray:
+    """A picture full of markers of the board's dictionary, in no board's order."""
+    picture = np.full((480, 640), 230, np.uint8)
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_6X6_250)
+    numbers = np.random.default_rng(3).permutation(250)
+    places = [(x, y) for y in range(8, 456, CELL) for x in range(8, 616, CELL)]
+    for number, (x, y) in enumerate(places):
+        marker = cv2.aruco.generateImageMarker(dictionary, int(numbers[number % 250]), SIDE)
+        picture[y : y + SIDE, x : x + SIDE] = marker
+    return picture
+
+
+def test_a_wall_of_markers_is_looked_at_over_several_pictures(tried: list[object]) -> None:
+    boards, picture = MisdescribedBoards([Appearance(BOARD, "box", 0)]), wall()
+    boards.look(picture, set())
+    first = list(tried)
+    for _ in range(20):
+        boards.look(picture, set())
+    assert len(first) <= len(set(tried)) // 2
+    assert set(tried[: len(first)]) != set(tried)
+
+
+def test_no_board_is_begun_when_the_time_is_over(tried: list[object]) -> None:
+    boards = MisdescribedBoards([Appearance(BOARD, "box", 0)])
+    picture = np.full((480, 640), 230, np.uint8)
+    boards.look(picture, set(), lambda: len(tried) >= 2)
+    assert len(tried) == 2
+    boards.look(picture, set(), lambda: len(tried) >= 4)
+    assert len(set(tried)) == 4
