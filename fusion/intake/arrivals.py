@@ -46,7 +46,7 @@ class Span(Struct, frozen=True):
     @property
     def counts_from_start(self) -> bool:
         """Whether it is by a simulator's clock, or by one that counts from when it was started."""
-        return 0 <= self.first_ns and self.last_ns < _NEVER_SET_NS
+        return self.first_ns >= 0 and self.last_ns < _NEVER_SET_NS
 
     def with_stamp(self, stamp_ns: int) -> "Span":
         first_ns, last_ns = min(self.first_ns, stamp_ns), max(self.last_ns, stamp_ns)

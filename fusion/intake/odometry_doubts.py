@@ -106,5 +106,6 @@ def _in_track(track: OdometryTrack) -> Iterator[str]:
     if (breaks := track.break_count) > _MOST_BREAKS:
         yield (
             f"its odometry and what cameras saw agree only if it was carried {breaks} times; if "
-            f"nobody did, its odometry is wrong: {_CONVENTION}"
+            f"nobody did, its odometry is wrong ({_CONVENTION}), or its target file (the faces' "
+            "places and sizes)"
         )

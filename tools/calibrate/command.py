@@ -68,6 +68,8 @@ def main(
         folder.mkdir(parents=True, exist_ok=True)
     pipeline = _worked_out(task)
     results = pipeline.results()
+    for text in results.doubts:
+        typer.echo(f"note: {text}", err=True)
     results.save(folder)
     error = _error(beside, results)
     alignment = align(inputs.site, plan, results, folder)
@@ -81,7 +83,7 @@ def main(
         raise InputError(f"{alignment.problem} (the network itself is written to {folder})")
     if not json:
         typer.echo(f"written to {folder}; open {folder / REPORT} in a browser")
-    _check_used(results, pipeline.arrivals.doubts)
+    _check_used(results, [*pipeline.arrivals.doubts, *results.doubts])
 
 
 def _worked_out(task: Task) -> Pipeline:
