@@ -46,9 +46,9 @@ def _lines(data: DataSet, robot: str, seen: _Faces, rejected: _Faces) -> Iterato
     others = [key for key in mine if key not in wrong]
     count, bad = (sum(kind[key] for key in others) for kind in (seen, rejected))
     if bad >= _LEAST_OF_ALL and bad > _MOST_OF_ALL * count:
+        count, bad = (sum(kind[key] for key in mine) for kind in (seen, rejected))
         yield (
-            f"{sum(rejected[key] for key in mine)} of {sum(seen[key] for key in mine)} sightings of "
-            f"{robot} contradict the rest; measure the squares of its print (printers scale), and "
+            f"{bad} of {count} sightings of {robot} contradict the rest; measure the squares of its print (printers scale), and "
             "compare the faces' places in the target file and the lens with what is there"
         )
         return
