@@ -48,8 +48,9 @@ def _lines(data: DataSet, robot: str, seen: _Faces, rejected: _Faces) -> Iterato
     if bad >= _LEAST_OF_ALL and bad > _MOST_OF_ALL * count:
         count, bad = (sum(kind[key] for key in mine) for kind in (seen, rejected))
         yield (
-            f"{bad} of {count} sightings of {robot} contradict the rest; measure the squares of its print (printers scale), and "
-            "compare the faces' places in the target file and the lens with what is there"
+            f"{bad} of {count} sightings of {robot} contradict the rest; measure the squares of "
+            "its print (printers scale), and compare the faces' places in the target file and the "
+            "lens with what is there"
         )
         return
     for key in wrong:
