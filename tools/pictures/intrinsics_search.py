@@ -21,6 +21,7 @@ from trigpoint.site.target import Target
 
 from .account import PictureAccount
 from .detect import Given, Still, stills
+from .unlike import squares_seen
 
 # A process takes as long to start as twenty pictures to search.
 _PICTURES_A_JOB = 20
@@ -80,9 +81,8 @@ def search(
     if len(sizes) > 1:
         raise InputError(_several(sizes))
     if not views:
-        raise OperationError(
-            "; ".join([*(misdescribed or [_nothing_found(count, targets)]), *said])
-        )
+        nothing = [squares_seen(pictures, topics), _nothing_found(count, targets)]
+        raise OperationError("; ".join(filter(None, [*(misdescribed or nothing), *said])))
     return Searched(count, size, views, tuple(misdescribed), tuple(said))
 
 
