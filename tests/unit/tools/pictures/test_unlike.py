@@ -1,4 +1,4 @@
-"""Pictures in which nothing of the target is found: the board of squares that they show is named."""
+"""Pictures in which nothing of the target is found: the board that they show is named."""
 
 from pathlib import Path
 
