@@ -117,7 +117,7 @@ def _chain(
     times = np.clip(times, track.first_ns, track.last_ns)
     moments = np.unique(np.concatenate([times, [track.first_ns]]) if is_first else times)
     if anchored:
-        moments = _filled(moments, track)
+        moments = filled(moments, track)
     group = np.zeros(len(moments), dtype=int)
     motion = None
     if len(moments) > 1:
@@ -142,7 +142,7 @@ def _chain(
     return _BuiltChain(chain, _start_poses(chain, guesses), node_of)
 
 
-def _filled(moments: np.ndarray, track: OdometryTrack) -> np.ndarray:
+def filled(moments: np.ndarray, track: OdometryTrack) -> np.ndarray:
     """The moments, with more inserted between two that lie far apart, but at most one in each step
     of odometry: a step in which the robot stood may last for days."""
     parts = [moments]
