@@ -1,4 +1,5 @@
-"""Finds the faces in a picture. `DETECTORS`: the FaceFinder of each pattern."""
+"""Finds the faces in a picture. `DETECTORS`: the FaceFinder of each pattern, made of all looks of
+the site."""
 
 from collections.abc import Callable, Sequence
 from importlib import import_module
@@ -47,7 +48,7 @@ def finders_for(targets: Sequence[Target]) -> dict[Pattern, FaceFinder]:
     """A finder for each pattern on the robots' targets."""
     looks = appearances(targets)
     return {
-        pattern: _open(path)([look for look in looks if look.face.pattern is pattern])
+        pattern: _open(path)(looks)
         for pattern, path in DETECTORS.items()
         if any(look.face.pattern is pattern for look in looks)
     }

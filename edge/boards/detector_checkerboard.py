@@ -23,7 +23,7 @@ from trigpoint.edge.registration.measurement import Located, in_view, measured, 
 from trigpoint.edge.registration.planar_fit import PlanarFit
 from trigpoint.edge.registration.plane_fitting import settled_fit
 from trigpoint.geometry.rotation import Array
-from trigpoint.site.target import Face
+from trigpoint.site.target import Face, Pattern
 
 from .evidence import weighed
 from .grid import LEAST_CORNERS, Grid, GridSearch
@@ -33,9 +33,10 @@ from .tuning import TUNING
 
 
 class CheckerboardDetector(FaceFinder):
-    """Finds every checkerboard of the given looks."""
+    """Finds every checkerboard among the given looks."""
 
     def __init__(self, looks: Sequence[Appearance]) -> None:
+        looks = [look for look in looks if look.face.pattern is Pattern.CHECKERBOARD]
         self._looks = tuple(looks)
         self._unexpected = unexpected(looks)
         extents = [(look.face.columns - 1, look.face.rows - 1) for look in looks]

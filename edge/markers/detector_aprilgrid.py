@@ -12,6 +12,7 @@ from msgspec.structs import replace
 
 from trigpoint.edge.registration.appearance import Appearance
 from trigpoint.edge.registration.corner_pattern import CornerPattern
+from trigpoint.site.target import Pattern
 
 from .marked_board import MarkedBoard
 from .marked_search import MarkedSearch
@@ -21,14 +22,13 @@ _LEAST_OTHERWISE = 2
 
 
 class AprilGridDetector(MarkedSearch):
-    """Finds every AprilGrid of the given looks; raises TargetError for an unknown dictionary."""
+    """Finds every AprilGrid among the given looks; raises TargetError for an unknown dictionary."""
 
     def __init__(self, looks: Sequence[Appearance]) -> None:
-        boards = [
-            _board(look, is_turned=is_turned) for look in looks for is_turned in _ways_up(look)
-        ]
-        has_squares = any(look.face.has_corner_squares for look in looks)
-        super().__init__(boards, parts_touching=has_squares)
+        own = [look for look in looks if look.face.pattern is Pattern.APRILGRID]
+        boards = [_board(look, is_turned=is_turned) for look in own for is_turned in _ways_up(look)]
+        has_squares = any(look.face.has_corner_squares for look in own)
+        super().__init__(boards, looks, parts_touching=has_squares)
 
 
 def _ways_up(look: Appearance) -> tuple[bool, ...]:

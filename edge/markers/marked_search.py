@@ -12,7 +12,6 @@ from trigpoint.edge.registration.finder import FaceFinder
 from trigpoint.edge.registration.measurement import Located, Measured
 from trigpoint.edge.registration.planar_fit import PlanarFit
 from trigpoint.geometry.rotation import Array
-from trigpoint.site.target import Pattern
 
 from .contradictions import contradictions
 from .corner_squares import refined
@@ -31,17 +30,21 @@ LEAST_PLAIN = 2
 class MarkedSearch(FaceFinder):
     """Finds boards with markers; one pass over the picture serves them all."""
 
-    def __init__(self, boards: Sequence[MarkedBoard], *, parts_touching: bool = False) -> None:
-        """`parts_touching`: markers may touch other black things with their corners. Raises
-        TargetError for an unknown or too small dictionary."""
+    def __init__(
+        self,
+        boards: Sequence[MarkedBoard],
+        looks: Sequence[Appearance],
+        *,
+        parts_touching: bool = False,
+    ) -> None:
+        """`looks`: all of the site; `parts_touching`: markers may touch other black things with
+        their corners. Raises TargetError for an unknown or too small dictionary."""
         self._boards = tuple(boards)
         self._readers = readers_for([board.look.face for board in boards])
         self._whole = {key: whole_reader(*key) for key in self._readers}
         self._finder = QuadFinder(parts_touching=parts_touching)
-        looks = tuple(dict.fromkeys(board.look for board in boards))
-        # A grid that is described without the squares between its tags may have them.
-        has_tags = any(look.face.pattern is Pattern.APRILGRID for look in looks)
-        self._wrong = MisdescribedBoards(looks, parts_touching=parts_touching or has_tags)
+        own = tuple(dict.fromkeys(board.look for board in boards))
+        self._wrong = MisdescribedBoards(own, [look.face for look in looks])
         self._denied = set[Appearance]()
         self._compared: dict[Appearance, set[int]] = {}
 

@@ -129,10 +129,11 @@ def readers_for(faces: Sequence[Face]) -> dict[tuple[str, int], MarkerReader]:
 
 
 @cache
-def whole_reader(dictionary: str, border_bits: int) -> MarkerReader:
-    """The reader of every marker of a dictionary, by id; shared, and never written to."""
+def whole_reader(dictionary: str, border_bits: int, most: int | None = None) -> MarkerReader:
+    """The reader of every marker of a dictionary, by id, or of the first so many; shared, and never
+    written to."""
     count = len(predefined_dictionary(dictionary).bytesList)
-    return MarkerReader(dictionary, border_bits, range(count))
+    return MarkerReader(dictionary, border_bits, range(min(count, most or count)))
 
 
 def reader_key(face: Face) -> tuple[str, int]:

@@ -11,11 +11,9 @@ of the markers (dictionary, border, negative, mirror image) is tried with every 
 from collections.abc import Sequence
 from functools import cache
 from math import comb, log
-from typing import Protocol
 
 import cv2
 import numpy as np
-from msgspec import Struct
 
 from trigpoint.edge.image.time_limit import IsOver, never
 from trigpoint.edge.registration.appearance import Appearance
@@ -24,8 +22,8 @@ from trigpoint.geometry.rotation import Array
 from trigpoint.site.target import Face, Pattern
 
 from .marker_groups import LEAST_MEMBER, MarkerGroup, group_markers
-from .markers import MarkerReader, Markers, reader_key, readers_for, whole_reader
-from .other_boards import Other, Others, others
+from .markers import MarkerReader, Markers, reader_key, whole_reader
+from .other_boards import Other, Reading, readings
 from .other_sizes import MOST_VOTERS, READINGS_A_VOTER, OtherSize, layout_of, other_size
 from .quads import QuadFinder
 
@@ -43,27 +41,24 @@ _LEAST_SHARE = 0.6
 # each of the first ten, which is all of them. Then two in every fifth, since most cameras see no
 # board most of the time.
 _AT_ONCE, _FIRST, _A_PICTURE, _EVERY = 3, 10, 2, 5
-# So many readings of quadrilaterals a picture gets, then the next one goes on: all boards together
-# ask for 8000 in the median photograph, 18,000 at most, and for 80,000 before a wall of tags.
+# So many readings of quadrilaterals a picture gets, then the next one goes on.
 _MOST_READ = 20_000
 # So often a board is contradicted that is none of the others, before that is said.
 _OFTEN = 3
+# Boards have the first of a dictionary's markers, hardly more of them.
+_MOST_IDS = 250
 
 
 class MisdescribedBoards:
     """What pictures show of other boards in place of `looks`. `lines`: what to write, by look;
     `refused`: those that the pictures disprove, which no later picture can mend."""
 
-    def __init__(self, looks: Sequence[Appearance], *, parts_touching: bool = False) -> None:
-        """`parts_touching`: as of `QuadFinder`; another board than the file's may need it."""
-        alike = list(others(looks))
-        own = {one[0].look: one for one in alike if one[0].reads_as_described}
-        self._waiting: list[_Tried] = [_Own(look, own.get(look, ())) for look in looks]
-        self._waiting += [_Foreign(one) for one in alike if not one[0].reads_as_described]
-        faces = [look.face for look in looks]
-        faces += [other.face for one in alike for other in one]
-        self._finder = QuadFinder(parts_touching=parts_touching)
-        self._readers = readers_for(faces)
+    def __init__(self, looks: Sequence[Appearance], faces: Sequence[Face]) -> None:
+        """`faces`: all of the site, of which none is another board."""
+        self._waiting, self._faces = list(readings(looks)), faces
+        self._ids = max([_MOST_IDS, *(face.first_marker + face.marker_count for face in faces)])
+        # Another board than the file's may have squares between its tags.
+        self._finder = QuadFinder(parts_touching=True)
         self._pictures = 0
         self._named: dict[Appearance, Other | OtherSize] = {}
         self._confirmed = set[Appearance]()
@@ -78,26 +73,41 @@ class MisdescribedBoards:
         count = len(self._waiting)
         if not denied and (self._pictures > _AT_ONCE or is_over is not never):
             count = self._share(count)
-        tried: list[_Tried] = []
-        scene = _Scene(grey, self._finder, self._readers, is_over)
+        tried: list[Reading] = []
+        scene = _Scene(grey, self._finder, self._ids, is_over)
         for one in self._waiting[:count]:
             if is_over() or scene.read_so_far > _MOST_READ:
                 break
             tried.append(one)
-            shown = None if one.look in self._named else one.shown(scene)
+            shown = None if one.look in self._named else self._shown(one, scene)
             if shown and not (isinstance(shown, OtherSize) and one.look in self._confirmed):
-                self.lines[one.look] = shown.remedy
+                board = shown.face.appearance
+                if all(board != named.face.appearance for named in self._named.values()):
+                    self.lines[one.look] = shown.remedy  # once for all faces that it is not
                 self._named[one.look] = shown
         left = [one for one in tried if one.look not in self._named]
         self._waiting = self._waiting[len(tried) :] + left
         for look in denied:
             self._deny(look)
 
+    def _shown(self, reading: Reading, scene: "_Scene") -> Other | OtherSize | None:
+        """The board that a picture proves, if any: the one that has most markers in their places,
+        those that people mean before those of any other size."""
+        known, best = scene.best(reading)
+        read = scene.all_markers(reading)
+        size = other_size(reading, read, scene.is_over)
+        if size and not any(map(size.is_as, self._faces)):
+            count = scene.sure(size, read)
+            if count > known and count >= _fewest(size.face):
+                return size
+        return best
+
     def confirm(self, look: Appearance) -> None:
         """A board that was found as the file has it is of no other size: that one was another's."""
         self._confirmed.add(look)
         if isinstance(self._named.get(look), OtherSize):
-            del self._named[look], self.lines[look]
+            del self._named[look]
+            self.lines.pop(look, None)
 
     def _share(self, count: int) -> int:
         """How many of so many boards are looked for in this picture."""
@@ -116,129 +126,99 @@ class MisdescribedBoards:
             )
 
 
-class _Tried(Protocol):
-    """What is looked for at once in place of a look."""
+class _Shown:
+    """A picture, its negative, or a mirror image, with its dark quadrilaterals (n, 4, 2)."""
+
+    def __init__(self, grey: np.ndarray, quads: Array, ids: int) -> None:
+        """`ids`: as of `_Scene`."""
+        self.grey, self.quads, self._ids = grey, quads, ids
+        self._scores: dict[tuple[str, int], Array] = {}
 
     @property
-    def look(self) -> Appearance: ...
+    def read_so_far(self) -> int:
+        """How many quadrilaterals were read, each time."""
+        return len(self.quads) * len(self._scores)
 
-    def shown(self, scene: "_Scene") -> Other | OtherSize | None:
-        """The board that a picture proves, if any."""
-        ...
+    def reader(self, face: Face, border_bits: int = 0) -> MarkerReader:
+        """The reader of a face's dictionary, with its border or another one."""
+        return whole_reader(face.dictionary or "", border_bits or face.border_bits, self._ids)
 
-
-class _Own(Struct, frozen=True):
-    """Boards of the same markers as the file's, in other places: those that people mean before
-    those of any other size."""
-
-    look: Appearance
-    others: Others
-
-    def shown(self, scene: "_Scene") -> Other | OtherSize | None:
-        """The board that has most markers in their places."""
-        known, best = scene.best(self.look, self.others)
-        read = scene.own_markers(self.look.face)
-        size = other_size(self.look, read, scene.is_over)
-        if size and not size.is_as_described:
-            count = scene.sure(size, read)
-            if count > known and count >= _fewest(size.face):
-                return size
-        return best
-
-
-class _Foreign(Struct, frozen=True):
-    """Boards of other markers, or seen in another way, that one reading tells apart."""
-
-    others: Others
-
-    @property
-    def look(self) -> Appearance:
-        return self.others[0].look
-
-    def shown(self, scene: "_Scene") -> Other | None:
-        """The board that has most markers in their places."""
-        return scene.best(self.look, self.others)[1]
-
-
-class _Shown(Struct, frozen=True):
-    """A picture, its negative, or the mirror image of one, with its dark quadrilaterals (n, 4, 2);
-    `scores`: theirs, by reader."""
-
-    grey: np.ndarray
-    quads: Array
-    scores: dict[tuple[str, int], Array]
+    def likeliest(self, face: Face, least: float, *, is_any: bool = False) -> Markers:
+        """The likeliest of a face's markers, or of any by their ids, for each quadrilateral that
+        scores at least `least`."""
+        key, reader = reader_key(face), self.reader(face)
+        if key not in self._scores:
+            self._scores[key] = reader.scores(self.grey, self.quads)
+        scores = self._scores[key]
+        return reader.likeliest(
+            scores if is_any else scores[:, reader.rows(face)], self.quads, least
+        )
 
 
 class _Scene:
-    """One picture in every way in which boards are looked for in it; `read_so_far`: how many
-    quadrilaterals were, each time."""
+    """One picture in every way in which boards are looked for in it."""
 
-    def __init__(
-        self,
-        grey: np.ndarray,
-        finder: QuadFinder,
-        readers: dict[tuple[str, int], MarkerReader],
-        is_over: IsOver,
-    ) -> None:
-        self._grey, self._finder, self._readers = grey, finder, readers
+    def __init__(self, grey: np.ndarray, finder: QuadFinder, ids: int, is_over: IsOver) -> None:
+        """`ids`: so many markers of each dictionary are read, from its first on."""
+        self._grey, self._finder, self._ids = grey, finder, ids
         self.is_over = is_over
         self._known: dict[tuple[bool, bool], _Shown] = {}
-        self.read_so_far = 0
+        self._votes = 0
+
+    @property
+    def read_so_far(self) -> int:
+        """How many quadrilaterals were read, votes on boards as so many of them."""
+        read = sum(shown.read_so_far for shown in self._known.values())
+        return read + READINGS_A_VOTER * self._votes
 
     def read(self, face: Face, *, is_mirrored: bool = False) -> int:
         """How many of a face's markers are surely read and agree on one place of it, where they are
         most of those in view; else 0."""
-        shown, key = self._shown(face.inverted, is_mirrored), reader_key(face)
-        self.read_so_far += len(shown.quads)
-        if len(shown.quads) == 0:
-            return 0
-        if key not in shown.scores:
-            shown.scores[key] = self._readers[key].scores(shown.grey, shown.quads)
-        return _agreeing(self._readers[key], face, shown, shown.scores[key])
+        shown = self._shown(face.inverted, is_mirrored)
+        return _agreeing(face, shown) if len(shown.quads) else 0
 
-    def best(self, look: Appearance, others: Others) -> tuple[int, Other | None]:
-        """How many markers the best of the boards has in their places, the simplest change where
-        they are as many: others may print the same; and which it is, if that is proven."""
+    def best(self, reading: Reading) -> tuple[int, Other | None]:
+        """How many markers the best of a reading's boards has in their places, the simplest change
+        where they are as many: others may print the same; and which it is, if that is proven."""
+        others = reading.others
         read = [self.read(other.face, is_mirrored=other.is_mirrored) for other in others]
         if not read:
             return 0, None
         best = others[int(np.argmax(read))]
-        is_proven = max(read) >= _fewest(best.face) and max(read) > self.read(look.face)
+        is_proven = max(read) >= _fewest(best.face) and max(read) > self.read(reading.look.face)
         return max(read), best if is_proven else None
 
-    def own_markers(self, face: Face) -> Markers:
-        """The markers of a face's dictionary that are surely read anywhere, by id, each once."""
-        shown = self._shown(face.inverted, False)
-        reader = whole_reader(*reader_key(face))
-        scores = reader.scores(shown.grey, shown.quads)
-        read = reader.likeliest(scores, shown.quads, _PLAINLY).each_once()
-        self.read_so_far += READINGS_A_VOTER * min(len(read), MOST_VOTERS)
+    def all_markers(self, reading: Reading) -> Markers:
+        """The markers of a reading's dictionary that are surely read anywhere, by id, each once."""
+        shown = self._shown(reading.face.inverted, reading.is_mirrored)
+        read = shown.likeliest(reading.face, _PLAINLY, is_any=True).each_once()
+        self._votes += min(len(read), MOST_VOTERS)
         return read
 
     def sure(self, size: OtherSize, read: Markers) -> int:
         """As `read`, of a board that the markers that were read suggest."""
         face, corners = size.face, read.corners[size.which]
         group = MarkerGroup(size.numbers, corners, read.quads[size.which], 0.0)
-        grey, reader = self._shown(face.inverted, False).grey, whole_reader(*reader_key(face))
-        return max(_sure(reader, face, grey, group, layout) for layout in _layouts(face))
+        shown = self._shown(face.inverted, size.reading.is_mirrored)
+        return max(_sure(face, shown, group, layout) for layout in _layouts(face))
 
     def _shown(self, inverted: bool, is_mirrored: bool) -> _Shown:
         key = (inverted, is_mirrored)
         if key not in self._known:
             grey = cv2.bitwise_not(self._grey) if inverted else self._grey
             grey = cv2.flip(grey, 1) if is_mirrored else grey
-            self._known[key] = _Shown(grey, self._finder.find(grey), {})
+            self._known[key] = _Shown(grey, self._finder.find(grey), self._ids)
         return self._known[key]
 
 
-def _agreeing(reader: MarkerReader, face: Face, shown: _Shown, scores: Array) -> int:
+def _agreeing(face: Face, shown: _Shown) -> int:
     """How many of a face's markers are surely read and agree on one place of it."""
-    markers = reader.best(face, scores, shown.quads, LEAST_MEMBER)
+    markers = shown.likeliest(face, LEAST_MEMBER)
     if len(markers) < _fewest(face):
         return 0
     return max(
         (
-            _sure(reader, face, shown.grey, group, layout)
+            _sure(face, shown, group, layout)
             for layout in _layouts(face)
             for group in group_markers(markers, layout)
         ),
@@ -246,11 +226,16 @@ def _agreeing(reader: MarkerReader, face: Face, shown: _Shown, scores: Array) ->
     )
 
 
-def _sure(
-    reader: MarkerReader, face: Face, grey: np.ndarray, group: MarkerGroup, layout: Array
-) -> int:
+def _sure(face: Face, shown: _Shown, group: MarkerGroup, layout: Array) -> int:
+    reader, grey = shown.reader(face), shown.grey
     codes = reader.codes(grey, group.corners)[:, reader.rows(face)]
-    count = int(np.sum(codes[np.arange(len(codes)), group.numbers] > _READ))
+    is_read = codes[np.arange(len(codes)), group.numbers] > _READ
+    # A border of one cell reads as one of two where cells are few, only worse.
+    other = shown.reader(face, 2 if face.border_bits == 1 else 1)
+    as_said, otherwise = (
+        each.agreement(grey, face, group.corners, group.numbers) for each in (reader, other)
+    )
+    count = int(np.sum(is_read & (as_said >= otherwise)))
     fit, _ = cv2.findHomography(
         layout[group.numbers].reshape(-1, 2), group.corners.reshape(-1, 2), 0
     )

@@ -12,8 +12,7 @@ from trigpoint.edge.registration.appearance import Appearance
 from trigpoint.edge.registration.dictionaries import dictionary_of
 from trigpoint.site.target import Face, Numbering, Pattern
 
-# What says where markers are, not which.
-_PLACES = {"columns", "rows", "legacy", "numbering"}
+UNMIRROR = "switch off the mirroring (flip) where they are made"
 
 
 class Other(Struct, frozen=True):
@@ -25,16 +24,11 @@ class Other(Struct, frozen=True):
     is_mirrored: bool = False
 
     @property
-    def reads_as_described(self) -> bool:
-        """Whether its markers are those of the look, whatever their places."""
-        return not self.is_mirrored and {key for key, _ in self.change} <= _PLACES
-
-    @property
     def remedy(self) -> str:
         """What is seen, and what to write, in one line."""
-        written = " and ".join(f"{key} = {_toml(value)}" for key, value in self.change)
+        written = " and ".join(f"{key} = {toml(value)}" for key, value in self.change)
         seen = ["mirrored"] * self.is_mirrored + [f"with {written}"] * bool(written)
-        steps = ["switch off the mirroring (flip) where they are made"] * self.is_mirrored
+        steps = [UNMIRROR] * self.is_mirrored
         steps += [f"write {written}"] * bool(written)
         return (
             f"{self.look.words}: the pictures show this board {' and '.join(seen)}, so it is not "
@@ -42,31 +36,39 @@ class Other(Struct, frozen=True):
         )
 
 
-Others = tuple[Other, ...]
-"""Those of one look that one reading of the markers tells apart, the simplest change first: they
-differ by where which marker is."""
+class Reading(Struct, frozen=True):
+    """One way to read a look's markers: as those of `face`, which is the look's but for what they
+    are. `others`: boards of such markers that people mean, the simplest change first: they differ
+    by where which marker is."""
+
+    look: Appearance
+    face: Face
+    is_mirrored: bool
+    others: tuple[Other, ...]
 
 
-def others(looks: Sequence[Appearance]) -> Iterator[Others]:
+def readings(looks: Sequence[Appearance]) -> Iterator[Reading]:
     """The likeliest of every look first; only boards that can be, and that no target has."""
     known = {look.face.appearance for look in looks}
     for alike in zip_longest(*(_of(look, known) for look in looks)):
         yield from filter(None, alike)
 
 
-def _of(look: Appearance, known: Container[object]) -> Iterator[Others]:
+def _of(look: Appearance, known: Container[object]) -> Iterator[Reading]:
     """What people get wrong comes together: a board that is described after another one."""
-    alike: list[tuple[int, Others]] = []
+    alike: list[tuple[int, Reading]] = []
     for is_mirrored, read in product((False, True), _readings(look.face)):
-        changes = [read | placed for placed in _places(look.face)]
+        changes = [
+            read | placed for placed in _places(look.face) if read.keys() <= _usual(look.face)
+        ]
         faces = [(_changed(look.face, change), change) for change in changes]
         found = tuple(
             Other(look, face, tuple(change.items()), is_mirrored)
             for face, change in faces
             if face and (face.appearance not in known or (is_mirrored and not change))
         )
-        if found:
-            alike.append((len(read) + is_mirrored, found))
+        reading = Reading(look, replace(look.face, **read), is_mirrored, found)
+        alike.append((len(read) + is_mirrored, reading))
     for _, found in sorted(alike, key=lambda one: one[0]):
         yield found
 
@@ -82,12 +84,17 @@ def _places(face: Face) -> tuple[dict[str, object], ...]:
     return {}, other, exchanged, exchanged | other
 
 
+def _usual(face: Face) -> set[str]:
+    """What people get wrong of a board's markers: the border of a small code beside which other
+    things lie reads as another one."""
+    return {"dictionary", "inverted" if face.pattern is Pattern.CHARUCO else "border_bits"}
+
+
 def _readings(face: Face) -> Iterator[dict[str, object]]:
     """Changes of what the markers are; none first."""
-    other: dict[str, object] = {"border_bits": 3 - face.border_bits}
-    if face.pattern is Pattern.CHARUCO:
-        other = {"inverted": not face.inverted}
-    for printed, dictionary in product(({}, other), ({}, *_other_dictionaries(face))):
+    border: dict[str, object] = {"border_bits": 2 if face.border_bits == 1 else 1}
+    prints = {}, border, {"inverted": not face.inverted}
+    for printed, dictionary in product(prints, ({}, *_other_dictionaries(face))):
         yield dictionary | printed
 
 
@@ -101,7 +108,7 @@ def _changed(face: Face, change: dict[str, object]) -> Face | None:
         dictionary_of(changed)
     except TargetError:
         return None
-    return changed if changed.border_bits >= 1 else None
+    return changed
 
 
 def _other_dictionaries(face: Face) -> Iterator[dict[str, object]]:
@@ -111,21 +118,22 @@ def _other_dictionaries(face: Face) -> Iterator[dict[str, object]]:
     kinds: dict[str, list[str]] = {}
     for name in sorted(dir(cv2.aruco)):
         if name.startswith("DICT_"):
-            kinds.setdefault(_kind(name), []).append(name)
+            kinds.setdefault(kind_of(name), []).append(name)
     size = mine.rpartition("_")[2]
     for kind, names in kinds.items():
-        if kind != _kind(mine):
+        if kind != kind_of(mine):
             same = [name for name in names if name == f"{kind}_{size}"]
             yield {"dictionary": (same or sorted(names, key=lambda n: (len(n), n)))[-1]}
 
 
-def _kind(name: str) -> str:
+def kind_of(name: str) -> str:
     """«DICT_4X4» of DICT_4X4_50; names of other kinds whole, in capitals."""
     upper = name.upper()
     return upper.rpartition("_")[0] if upper[5:6].isdigit() else upper
 
 
-def _toml(value: object) -> str:
+def toml(value: object) -> str:
+    """A key's value as the target file has it."""
     if isinstance(value, bool):
         return str(value).lower()
     return str(value) if isinstance(value, int) else f'"{value}"'

@@ -1,5 +1,5 @@
-"""Boards of the file's own dictionary in other numbers than it has: more columns, another first
-marker, larger markers.
+"""Boards that differ in more than people mean to: in columns and rows, first marker, size of
+markers, pattern, and all that at once.
 
 The markers in view vote: of all boards that have them, the one on whose plane most of them lie.
 """
@@ -21,6 +21,7 @@ from trigpoint.geometry.rotation import Array
 from trigpoint.site.target import Face, Numbering, Pattern
 
 from .markers import Markers
+from .other_boards import UNMIRROR, Reading, kind_of, toml
 
 # Boards have hardly more columns or rows.
 _MOST = 24
@@ -40,68 +41,75 @@ class OtherSize(Struct, frozen=True):
     """A board that may be meant by a look, as far as it is seen: it may go on below. `numbers`:
     (k,) its markers that agree, of which `which` (k,) of those that were read."""
 
-    look: Appearance
+    reading: Reading
     face: Face
     numbers: np.ndarray
     which: np.ndarray
 
     @property
-    def is_as_described(self) -> bool:
-        """Whether the file says the same, as far as it is seen."""
-        return self._is_as_large and not self._changes
+    def look(self) -> Appearance:
+        return self.reading.look
 
-    @property
-    def _is_as_large(self) -> bool:
-        face, told = self.face, self.look.face
-        return face.columns == told.columns and face.rows <= told.rows
+    def is_as(self, told: Face) -> bool:
+        """Whether a face is described so, as far as it is seen."""
+        return self._is_as_large(told) and not self._changes(told) and not self.reading.is_mirrored
 
-    @property
-    def _changes(self) -> list[str]:
-        face, told = self.face, self.look.face
-        pairs = (
-            (f"first_marker = {face.first_marker}", face.first_marker != told.first_marker),
-            (f"legacy = {str(face.legacy).lower()}", face.legacy != told.legacy),
-            (f'numbering = "{face.numbering.value}"', face.numbering != told.numbering),
-            (f"marker = {face.marker:.2g} or so", face.marker != told.marker),
-        )
-        return [words for words, is_other in pairs if is_other]
+    def _is_as_large(self, told: Face) -> bool:
+        face = self.face
+        is_alike = (face.pattern, face.columns) == (told.pattern, told.columns)
+        return is_alike and face.rows <= told.rows
+
+    def _changes(self, told: Face) -> list[str]:
+        face = self.face
+        keys = ["pattern", "dictionary", "first_marker", "inverted", "border_bits"]
+        keys.append("legacy" if face.pattern is Pattern.CHARUCO else "numbering")
+        if kind_of(face.dictionary or "") == kind_of(told.dictionary or ""):
+            keys.remove("dictionary")
+        values = [(key, getattr(face, key)) for key in keys]
+        found = [f"{key} = {toml(v)}" for key, v in values if v != getattr(told, key)]
+        return found + [f"marker = {face.marker:.2g} or so"] * (not self._has_markers_of(told))
+
+    def _has_markers_of(self, told: Face) -> bool:
+        """Whether its markers are as large beside its squares as those of a face."""
+        seen, known = ((face.marker or 0.0) / face.square for face in (self.face, told))
+        return abs(seen - known) <= _MARKER_SHARE * known
 
     @property
     def remedy(self) -> str:
         """What is seen, and what to do, in one line."""
         size = [f"columns = {self.face.columns}", f"rows = {self.face.rows} or more"]
-        words = ", ".join([*([] if self._is_as_large else size), *self._changes])
+        told, is_mirrored = self.look.face, self.reading.is_mirrored
+        words = ", ".join([*([] if self._is_as_large(told) else size), *self._changes(told)])
+        seen, steps = ("a mirrored board", f"{UNMIRROR}, and ") if is_mirrored else ("a board", "")
         return (
-            f"{self.look.words}: the pictures show a board with {words}, so it is not used; "
-            "compare the target file with the print"
+            f"{self.look.words}: the pictures show {seen} with {words}, so it is not used; "
+            f"{steps}compare the target file with the print"
         )
 
 
-def other_size(look: Appearance, read: Markers, is_over: IsOver = never) -> OtherSize | None:
+def other_size(reading: Reading, read: Markers, is_over: IsOver = never) -> OtherSize | None:
     """What most of the markers that were `read`, each once and by its id, the surest first, agree
     on, the file's own numbers before others; None where too few agree, or as many on boards of
     other widths, or the time is over."""
     if len(read) < LEAST_VOTES:
         return None
-    own = _voted(look, look.face, read)
+    own = _voted(reading, reading.face, read)
     if own and len(own.which) == len(read):
         return own
-    few, faces = read.first(MOST_VOTERS), (look.face, *_faces(look.face, read.numbers))
-    voted = list[tuple[Face, OtherSize]]()
-    for face in faces:
+    few, voted = read.first(MOST_VOTERS), list[tuple[Face, OtherSize]]()
+    for face in (reading.face, *_faces(reading.face, read.numbers)):
         if is_over():
             return None
-        if each := _voted(look, face, few):
+        if each := _voted(reading, face, few):
             voted.append((face, each))
     most = max((len(each.which) for _, each in voted), default=0)
-    best = [(face, each.face.columns) for face, each in voted if len(each.which) == most]
-    columns = {columns for _, columns in best}
-    if not best or (len(columns) > 1 and best[0][1] != look.face.columns):
-        return None
-    return _voted(look, best[0][0], read)
+    best = [(face, each.face) for face, each in voted if len(each.which) == most]
+    boards = [(face.pattern, face.columns) for _, face in best]
+    is_own = boards[:1] == [(reading.face.pattern, reading.face.columns)]
+    return _voted(reading, best[0][0], read) if is_own or len(set(boards)) == 1 else None
 
 
-def _voted(look: Appearance, face: Face, read: Markers) -> OtherSize | None:
+def _voted(reading: Reading, face: Face, read: Markers) -> OtherSize | None:
     """A board with the markers that agree on it; None where these are too few."""
     which = np.flatnonzero(
         (read.numbers >= face.first_marker) & (read.numbers < face.first_marker + face.marker_count)
@@ -113,7 +121,7 @@ def _voted(look: Appearance, face: Face, read: Markers) -> OtherSize | None:
     if fit is None or agree.sum() < LEAST_VOTES:
         return None
     seen = _as_seen(face, numbers[agree], read.corners[which[agree]], fit)
-    return OtherSize(look, seen, numbers[agree], which[agree])
+    return OtherSize(reading, seen, numbers[agree], which[agree])
 
 
 def layout_of(face: Face) -> Array:
@@ -133,11 +141,15 @@ def _faces(face: Face, ids: np.ndarray) -> Iterator[Face]:
                     yield reaching
 
 
-def _ways(face: Face) -> tuple[Face, Face]:
-    if face.pattern is Pattern.CHARUCO:
-        return face, replace(face, legacy=not face.legacy)
-    kalibr = face.numbering is Numbering.KALIBR
-    return face, replace(face, numbering=Numbering.TOP_LEFT if kalibr else Numbering.KALIBR)
+def _ways(face: Face) -> tuple[Face, ...]:
+    """Both layouts of either pattern, the file's own first."""
+    is_charuco, kalibr = face.pattern is Pattern.CHARUCO, face.numbering is Numbering.KALIBR
+    charuco = replace(face, pattern=Pattern.CHARUCO)
+    grid = replace(face, pattern=Pattern.APRILGRID)
+    charucos = charuco, replace(charuco, legacy=not face.legacy)
+    numbering = Numbering.TOP_LEFT if kalibr else Numbering.KALIBR
+    grids = grid, replace(grid, numbering=numbering)
+    return charucos + grids if is_charuco else grids + charucos
 
 
 def _reaching(face: Face, last: int) -> Face | None:

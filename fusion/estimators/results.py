@@ -28,16 +28,18 @@ from trigpoint.map.network import (
 from .crept import newest_ns
 from .interface import CameraEstimate, Estimator
 from .noise_lines import noise_lines
+from .rejected_faces import rejected_faces
 
 
 class Results(Struct, frozen=True):
-    """The network, its joint covariance (6n, 6n), robot -> (stamps_ns, map_from_base), and which
-    `noise` is not as stated, in words."""
+    """The network, its joint covariance (6n, 6n), robot -> (stamps_ns, map_from_base), which
+    `noise` is not as stated, and what of the target files cannot be (`doubts`), in words."""
 
     network: Network
     covariance: Array
     trajectories: dict[str, tuple[np.ndarray, Pose]]
     noise: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
 
     def save(self, directory: Path) -> None:
         """Write network.json, covariance.npz and the trajectories."""
@@ -80,7 +82,9 @@ def results_of(data: DataSet, estimator: Estimator, map_id: UUID | None) -> Resu
         statistics=Statistics(estimator.chi2_per_dof, estimator.iterations),
         until=str(until_ns) if until_ns is not None else None,
     )
-    return Results(network, estimator.joint_covariance(), trajectories, noise_lines(data))
+    return Results(
+        network, estimator.joint_covariance(), trajectories, noise_lines(data), rejected_faces(data)
+    )
 
 
 def _camera(

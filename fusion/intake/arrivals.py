@@ -16,10 +16,15 @@ from trigpoint.fusion.model.odometry import OdometryTrack
 from trigpoint.map.network import Network
 from trigpoint.site.config import Site
 
+from .odometry_doubts import OdometryDoubts
+
 OFFSET_SIGMAS = 3.0
 """A sighting may be later than its stamp by this many sigmas of its camera's time offset."""
 # No clock that was ever set shows a time before 1973: it counts from its own start.
 _NEVER_SET_NS = to_ns(1e8)
+
+# What lasts so much longer than the odometry beside it is not stamped in seconds.
+_LONGER = 50
 
 
 class Span(Struct, frozen=True):
@@ -41,7 +46,7 @@ class Span(Struct, frozen=True):
     @property
     def counts_from_start(self) -> bool:
         """Whether it is by a simulator's clock, or by one that counts from when it was started."""
-        return self.last_ns < _NEVER_SET_NS
+        return self.first_ns >= 0 and self.last_ns < _NEVER_SET_NS
 
     def with_stamp(self, stamp_ns: int) -> "Span":
         first_ns, last_ns = min(self.first_ns, stamp_ns), max(self.last_ns, stamp_ns)
@@ -63,6 +68,7 @@ class Arrivals:
             name: to_ns(OFFSET_SIGMAS * camera.time_offset_sigma)
             for name, camera in site.cameras.items()
         }
+        self._odometry = OdometryDoubts(site, tracks)
         self._mended = Counter[tuple[str, Mended]]()
         self.seen: dict[str, Span] = {}
         self.unreadable: dict[str, str] = {}
@@ -72,6 +78,8 @@ class Arrivals:
         """Note a message of a camera or robot."""
         if isinstance(message, Odometry | Sightings) and message.mended:
             self._mended.update((node, lack) for lack in message.mended)
+        if isinstance(message, Odometry):
+            self._odometry.add(node, message)
         if isinstance(message, Sightings) and message.faces and node in self._tolerance_ns:
             span, stamp_ns = self.seen.get(node), message.stamp_ns
             self.seen[node] = span.with_stamp(stamp_ns) if span else Span(stamp_ns, stamp_ns)
@@ -90,14 +98,9 @@ class Arrivals:
     @property
     def doubts(self) -> list[str]:
         """What came and cannot be right, as text."""
-        jumping = [
-            f"robot {name}: {count} of {len(track)} odometry messages lie farther from the one "
-            "before than any robot drives; are its lengths in metres, and its stamps right?"
-            for name, track in self._tracks.items()
-            if (count := track.jump_count) > len(track) / 2
-        ]
         wrong = self.misdescribed.items()
-        return [*jumping, *(f"{name}: {words}" for name, words in wrong if name in self.seen)]
+        described = [f"{name}: {words}" for name, words in wrong if name in self.seen]
+        return [*self._odometry.texts, *described]
 
     @property
     def apart(self) -> dict[str, str]:
@@ -141,6 +144,12 @@ def _words(seen: Span, robot: str, odometry: Span) -> str:
     ]
     if odometry.first_ns == odometry.last_ns:
         why = "all of the odometry has one stamp; have its driver stamp every message anew"
+    elif seen.last_ns - seen.first_ns > _LONGER * (odometry.last_ns - odometry.first_ns):
+        why = (
+            f"by their stamps these pictures took {to_seconds(seen.last_ns - seen.first_ns):.0f} s "
+            f"and the odometry {to_seconds(odometry.last_ns - odometry.first_ns):.0f} s; are the "
+            "seconds in the camera's stamps milli- or nanoseconds?"
+        )
     elif len(by_start) == 1:
         why = (
             f"the clock of the {by_start[0]} counts from 0, as a simulator's does, or one that was "

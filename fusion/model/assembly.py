@@ -118,7 +118,7 @@ def _chain(
     times = np.clip(times, track.first_ns, track.last_ns)
     moments = unique(np.concatenate([times, [track.first_ns]]) if is_first else times)
     if anchored:
-        moments = _filled(moments, track)
+        moments = filled(moments, track)
     group = np.zeros(len(moments), dtype=int)
     motion = None
     if len(moments) > 1:
@@ -143,15 +143,19 @@ def _chain(
     return _BuiltChain(chain, _start_poses(chain, guesses), node_of)
 
 
-def _filled(moments: np.ndarray, track: OdometryTrack) -> np.ndarray:
+def filled(moments: np.ndarray, track: OdometryTrack) -> np.ndarray:
     """The moments, with more inserted between two that lie far apart, but at most one in each step
     of odometry: a step in which the robot stood may last for days."""
     parts = [moments]
     for gap in np.flatnonzero(np.diff(moments) > 2 * _FILL_NS):
-        count = int((moments[gap + 1] - moments[gap]) // _FILL_NS)
-        fill = np.linspace(moments[gap], moments[gap + 1], count + 1).astype(np.int64)[1:-1]
-        _, first = np.unique(np.searchsorted(track.stamps_ns, fill), return_index=True)
-        parts.append(fill[first])
+        start_ns, end_ns = moments[gap], moments[gap + 1]
+        count = int((end_ns - start_ns) // _FILL_NS)
+        spacing_ns = (end_ns - start_ns) / count
+        first, last = np.searchsorted(track.stamps_ns, [start_ns, end_ns])
+        steps = np.maximum(track.stamps_ns[max(first - 1, 0) : last], start_ns) - start_ns
+        # The first of the evenly spaced moments in each step: there may be billions of them.
+        which = unique(steps // spacing_ns + 1)
+        parts.append((start_ns + which[which < count] * spacing_ns).astype(np.int64))
     return unique(np.concatenate(parts))
 
 

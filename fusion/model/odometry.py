@@ -149,6 +149,17 @@ class OdometryTrack:
         """How many messages odometry itself shows to jump, or to come after a gap."""
         return int(np.count_nonzero(self._jumps[: self._count])) - len(self._broken_rows)
 
+    @property
+    def break_count(self) -> int:
+        """In how many steps the robot was moved, which odometry does not show."""
+        return len(self._broken_rows)
+
+    @property
+    def way(self) -> tuple[float, float]:
+        """How far it drove along its own x, and across, metres."""
+        along, across = np.abs(self._twists[: self._count, :2]).sum(axis=0).tolist()
+        return along, across
+
     def covers(self, stamp_ns: int) -> bool:
         """Whether the robot's motion is known at this moment."""
         return self._count > 0 and self.first_ns <= stamp_ns <= self.last_ns

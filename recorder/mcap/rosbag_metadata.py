@@ -46,18 +46,14 @@ def listed_files(folder: Path) -> list[Path]:
     """The files that a folder's metadata.yaml lists, in its order, packed or unpacked by hand; none
     where there is none.
 
-    Raises RecordingError where it cannot be read, or a file is not there.
+    Raises RecordingError where it cannot be read.
     """
     file = folder / FILE
     if not file.exists():
         return []
     names = _information(file)["relative_file_paths"]
     # Bags of the first versions of rosbag2 name their own folder too.
-    files = [_as_it_is(folder / Path(str(name)).name) for name in names]
-    for one in files:
-        if not one.exists():
-            raise RecordingError(f"{one}: is listed in {FILE}, but not there; copy it too")
-    return files
+    return [_as_it_is(folder / Path(str(name)).name) for name in names]
 
 
 def _as_it_is(listed: Path) -> Path:
@@ -85,7 +81,8 @@ def _information(file: Path) -> dict[str, Any]:
     from ruamel.yaml import YAML, YAMLError  # whoever reads a session alone has no such file
 
     try:
-        information = YAML(typ="safe").load(file.read_bytes())["rosbag2_bagfile_information"]
+        said = YAML(typ="safe").load(file.read_bytes()) or {}
+        information = said["rosbag2_bagfile_information"]
         list(information["relative_file_paths"])
     except (YAMLError, OSError, LookupError, TypeError, UnicodeDecodeError) as reason:
         text = " ".join(str(reason).split())

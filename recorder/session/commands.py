@@ -12,10 +12,11 @@ from trigpoint.base.errors import InputError
 from trigpoint.base.terminal import table
 from trigpoint.base.words import numberless
 from trigpoint.recorder.mcap.check import check as check_file
+from trigpoint.recorder.mcap.index import read_index
 
-from .files import session_files, spans
+from .files import faults, parts_of, session_files, spans
 from .info import KeyInfo, info_json, info_lines, session_info
-from .recording import open_recording
+from .recording import Recording, open_recording
 from .recover import recover as save_sound
 
 Session = Annotated[Path, typer.Argument(help="An .mcap file, or a folder with a session.")]
@@ -92,8 +93,12 @@ def check(session: Session) -> None:
 
     Ends with status 1 where it is not.
     """
-    is_sound = True
-    for file in session_files(session):
+    lacking = faults(parts_of(session))
+    for file, fault in lacking.items():
+        typer.echo(f"{file}: error: {fault}")
+    is_sound = not lacking
+    files = session_files(session)
+    for file in files:
         verdict = check_file(file)
         is_sound = is_sound and verdict.is_sound
         kinds = {"error": verdict.errors, "warning": verdict.warnings, "note": verdict.remarks}
@@ -106,7 +111,9 @@ def check(session: Session) -> None:
         if verdict.is_sound:
             typer.echo(f"{file}: sound")
     if not is_sound:
-        typer.echo("`trigpoint recover` saves what is sound of a damaged recording", err=True)
+        some = Recording([read_index(file) for file in files]).counts
+        kept = "`trigpoint recover` saves what is sound of a damaged recording"
+        typer.echo(kept if some else "no message in it is whole; copy or record it anew", err=True)
         raise typer.Exit(1)
 
 

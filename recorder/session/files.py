@@ -1,5 +1,7 @@
 """The files of a session: where it is written, and which files in a folder are its parts."""
 
+import logging
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -9,6 +11,8 @@ from trigpoint.recorder.mcap.file import McapIndex
 from trigpoint.recorder.mcap.index import read_index
 from trigpoint.recorder.mcap.rosbag_metadata import is_bag, listed_files, packs_messages
 from trigpoint.site.config import Site
+
+_LOG = logging.getLogger(__name__)
 
 FILE = "session.mcap"
 PART = "trigpoint.part"
@@ -58,6 +62,30 @@ def session_files(path: Path, *, takes_several: bool = False) -> list[Path]:
     A rosbag2's metadata.yaml decides, unless all files are one session of ours: what a killed
     recorder wrote last is not in it.
     """
+    files = parts_of(path, takes_several=takes_several)
+    lacking = faults(files)
+    for file, fault in lacking.items():
+        if len(lacking) == len(files):
+            raise RecordingError(f"{file}: {fault}")
+        _LOG.warning("%s: %s; the other files are read", file, fault)
+    return [file for file in files if file not in lacking]
+
+
+def faults(files: Sequence[Path]) -> dict[Path, str]:
+    """The files of a session in which there is nothing, and why."""
+    why = {
+        False: "is listed in metadata.yaml, but not there; copy it too",
+        True: "the file is empty; nothing was recorded into it",
+    }
+    return {file: why[file.exists()] for file in files if not _has_something(file)}
+
+
+def _has_something(file: Path) -> bool:
+    return file.is_dir() or (file.is_file() and file.stat().st_size > 0)
+
+
+def parts_of(path: Path, *, takes_several: bool = False) -> list[Path]:
+    """Like `session_files`, with those files in which there is nothing."""
     if not path.is_dir():
         if not path.exists():
             raise RecordingError(f"{path}: there is no such session; check the path")
@@ -67,12 +95,18 @@ def session_files(path: Path, *, takes_several: bool = False) -> list[Path]:
             )
         return [path]
     files = sorted(path.glob("*.mcap"))
-    parts = {file: read_index(file).metadata.get(PART, {}) for file in files}
+    readable = [file for file in files if _has_something(file)]
+    parts = {file: read_index(file).metadata.get(PART, {}) for file in readable}
     sessions = {part.get("session", str(file)) for file, part in parts.items()}
     if len(sessions) == 1 and all(parts.values()):
-        return sorted(files, key=lambda file: int(parts[file].get("part", "1")))
+        ordered = sorted(readable, key=lambda file: int(parts[file].get("part", "1")))
+        return [*ordered, *(file for file in files if file not in parts)]
     if listed := listed_files(path):
-        return listed if all(map(_is_mcap, listed)) and not packs_messages(path) else [path]
+        if all(map(_is_mcap, listed)) and not packs_messages(path):
+            return listed
+        for file, fault in faults(listed).items():
+            raise RecordingError(f"{file}: {fault}")
+        return [path]
     files = files or sorted(file for file in path.iterdir() if file.is_file() and is_bag(file))
     if not files:
         raise RecordingError(f"{path}: there is no .mcap file in this folder; check the path")

@@ -72,6 +72,7 @@ def test_zeros_beyond_the_model_are_dropped() -> None:
         ("[500.0", "[-500.0", "focal"),
         ("[500.0", "[.nan", "camera_matrix"),
         ("[500.0, 0.0,", "[500.0,", "camera_matrix"),
+        ("distortion_coefficients", "distortion_coefs", "distortion_coefficients"),
         ("plumb_bob\n", "plumb_bob\ncamera_model: omni\n", "«omni»"),
         ("image_height: 480", "image_height: 480 :", "c1.yaml:2"),
         ("0.0, 0.0]", "0.0, 0.0, 0.5, 0.5, 0.5, 0.5]", "coefficients"),

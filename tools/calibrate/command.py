@@ -1,6 +1,7 @@
 """The command `calibrate`: the estimator over a recorded session."""
 
 import math
+from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Annotated, Literal
@@ -67,6 +68,8 @@ def main(
         folder.mkdir(parents=True, exist_ok=True)
     pipeline = _worked_out(task)
     results = pipeline.results()
+    for text in results.doubts:
+        typer.echo(f"note: {text}", err=True)
     results.save(folder)
     error = _error(beside, results)
     alignment = align(inputs.site, plan, results, folder)
@@ -80,7 +83,7 @@ def main(
         raise InputError(f"{alignment.problem} (the network itself is written to {folder})")
     if not json:
         typer.echo(f"written to {folder}; open {folder / REPORT} in a browser")
-    _check_used(results)
+    _check_used(results, [*pipeline.arrivals.doubts, *results.doubts])
 
 
 def _worked_out(task: Task) -> Pipeline:
@@ -106,14 +109,17 @@ def _error(folder: Path, results: Results) -> NetworkError | None:
     return network_error(results.network, results.covariance, load_truth(path))
 
 
-def _check_used(results: Results) -> None:
-    """Raise OperationError where no camera is located, and what one saw could not be used."""
+def _check_used(results: Results, doubts: Sequence[str]) -> None:
+    """Raise OperationError where no camera is located, and what one saw could not be used, or what
+    came of robots cannot be right."""
     cameras = results.network.cameras.items()
     unused = [(n, c.undetermined[0]) for n, c in cameras if c.status == "unseen" and c.undetermined]
     if unused and not results.network.located:
         (name, why), *more = unused
         others = f" (and {counted(len(more), 'other camera')} likewise)" if more else ""
         raise OperationError(f"no camera could be located; {name}{others} is unseen: {why}")
+    if doubts and not results.network.located:
+        raise OperationError(f"no camera could be located; {'; '.join(doubts)}")
 
 
 def _say_alignment(alignment: Alignment) -> None:

@@ -38,7 +38,7 @@ def write_report(
             trajectories=results.trajectories,
             residuals=pipeline.residuals(),
             left_out=pipeline.messages_left_out,
-            notes=pipeline.notes,
+            notes=[*pipeline.notes, *results.doubts],
             suggestions=_next_poses(pipeline),
             corrected=_corrected(pipeline, results),
             error=error,

@@ -18,6 +18,7 @@ from trigpoint.site.config import Site
 from trigpoint.site.target import load_target
 from trigpoint.tools.pictures.account import PictureAccount
 from trigpoint.tools.pictures.detect import stills
+from trigpoint.tools.pictures.unlike import squares_seen
 
 LOOK_S = 3.0
 _OPENING_S = 8.0
@@ -27,6 +28,7 @@ _PICTURES = 10
 _SLOW = 0.7
 """A camera that gives less than this share of its `rate` is reported."""
 _OLD_S = 1.0
+_COMPARE = "compare its pattern, columns and rows with the print"
 
 
 class Glance(Struct, frozen=True):
@@ -140,9 +142,12 @@ def check_boards(site: Site, camera: str) -> list[Check]:
         targets = [load_target(site.path(name)) for name in site.target_names]
         detector = detector_for(targets)
         account = PictureAccount()
-        for still in islice(stills([site.path(config.file)], account=account), _PICTURES):
-            detector.detect(still.picture)
+        given = [site.path(config.file)]
+        found = 0
+        for still in islice(stills(given, account=account), _PICTURES):
+            found += len(detector.detect(still.picture))
         said = account.lines()
+        unlike = "" if found or detector.misdescribed else squares_seen(given)
     except TrigpointError as reason:
         return [Check(f"pictures of {camera}", "warning", str(reason), "mend the source")]
     pictures = [Check(f"pictures of {camera}", "warning", line) for line in said]
@@ -151,4 +156,7 @@ def check_boards(site: Site, camera: str) -> list[Check]:
         Check(f"boards of {camera}", "error", *s.rpartition("; ")[::2])
         for s in detector.misdescribed
     ]
+    if unlike:
+        text = f"{unlike}, and none of the target file's"
+        boards.append(Check(f"boards of {camera}", "warning", text, _COMPARE))
     return pictures + boards

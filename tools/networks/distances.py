@@ -167,7 +167,7 @@ def compare(network: Network, covariance: Array, measured: Iterable[Measured]) -
 def read_measured(path: Path, network: Network, *, sigma_m: float) -> list[Measured]:
     """Read rows of camera,camera,metres[,sigma]; a header row of these words, empty rows and rows
     that begin with # are skipped. Raises an InputError that names file and line."""
-    text = read_text(path, "file of distances", InputError).removeprefix("\ufeff")
+    text = read_text(path, "file of distances", InputError)
     found = []
     for number, fields in enumerate(csv.reader(text.splitlines(), skipinitialspace=True), start=1):
         cells = [field.strip() for field in fields]

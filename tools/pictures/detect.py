@@ -94,8 +94,12 @@ def main(
         if draw is not None:
             file = draw / f"{still.stem}.png"
             cv2.imwrite(str(file), draw_faces(still.picture, faces))
-    for line in (*account.lines(), *total.lines(is_explained=bool(said))):
+    for line in (*account.lines(), total.line):
         typer.echo(line, err=True)
+    if total.is_nothing and not said:
+        from .unlike import squares_seen  # of pictures that were read already
+
+        typer.echo("; ".join(filter(None, [squares_seen(pictures, topic), NOTHING_NEAR])), err=True)
 
 
 class _Sum:
@@ -107,14 +111,18 @@ class _Sum:
         self._with_faces += bool(faces)
         self._faces += len(faces)
 
-    def lines(self, *, is_explained: bool) -> Iterator[str]:
-        """The totals, and what to do if nothing was found in many pictures and nothing said why."""
-        yield (
+    @property
+    def line(self) -> str:
+        """The totals."""
+        return (
             f"{counted(self._pictures, 'picture')}: {counted(self._faces, 'face')} in "
             f"{self._with_faces} of them"
         )
-        if not self._faces and not is_explained and self._pictures >= LEAST_PICTURES:
-            yield NOTHING_NEAR
+
+    @property
+    def is_nothing(self) -> bool:
+        """Whether nothing was found in many pictures."""
+        return not self._faces and self._pictures >= LEAST_PICTURES
 
 
 def stills(

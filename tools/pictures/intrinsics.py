@@ -9,6 +9,7 @@ import typer
 from trigpoint.base.errors import InputError, OperationError, writing
 from trigpoint.edge.lens.calibration import Calibration, calibrate
 from trigpoint.edge.lens.calibration_text import calibration_record, calibration_text
+from trigpoint.edge.sources.opencv_log import quieten_opencv
 from trigpoint.site.camera_info import write_camera_info
 from trigpoint.site.config import load_site
 from trigpoint.site.option import site_here
@@ -47,6 +48,7 @@ def main(
     targets = _targets(target, site)
     if out is not None and out.suffix not in (".yaml", ".yml"):
         raise InputError(f"{out}: intrinsics are written as YAML; end the name in .yaml")
+    quieten_opencv()
     check_all(pictures)
     searched = search(pictures, targets, topics=topic, jobs=jobs)
     for line in (*searched.account, *searched.misdescribed):

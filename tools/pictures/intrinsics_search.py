@@ -17,10 +17,11 @@ from trigpoint.base.terminal import Progress
 from trigpoint.edge.detector import TargetDetector, detector_for
 from trigpoint.edge.lens.calibration_views import View, views_of
 from trigpoint.edge.sources.opencv_log import quieten_opencv
-from trigpoint.site.target import Target
+from trigpoint.site.target import Pattern, Target
 
 from .account import PictureAccount
 from .detect import Given, Still, stills
+from .unlike import squares_seen
 
 # A process takes as long to start as twenty pictures to search.
 _PICTURES_A_JOB = 20
@@ -28,6 +29,7 @@ _PICTURES_A_JOB = 20
 _AHEAD = 2
 # More names than these nobody reads.
 _MOST_NAMED = 5
+_ARTICLES = {Pattern.CHECKERBOARD: "a", Pattern.CHARUCO: "a", Pattern.APRILGRID: "an"}
 
 
 class Searched(Struct, frozen=True):
@@ -80,9 +82,8 @@ def search(
     if len(sizes) > 1:
         raise InputError(_several(sizes))
     if not views:
-        raise OperationError(
-            "; ".join([*(misdescribed or [_nothing_found(count, targets)]), *said])
-        )
+        nothing = [squares_seen(pictures, topics), _nothing_found(count, targets)]
+        raise OperationError("; ".join(filter(None, [*(misdescribed or nothing), *said])))
     return Searched(count, size, views, tuple(misdescribed), tuple(said))
 
 
@@ -104,13 +105,13 @@ def _expected(pictures: Sequence[Given]) -> int:
 
 def _nothing_found(count: int, targets: Sequence[Target]) -> str:
     faces = dict.fromkeys(
-        f"{face.pattern.value} of {face.columns} × {face.rows}"
+        f"{_ARTICLES[face.pattern]} {face.pattern.value} of {face.columns} × {face.rows}"
         for target in targets
         for face in target.faces
     )
     return (
-        f"no view of the target was found in {count} pictures: the target file describes a "
-        f"{' and a '.join(faces)}, and they show none; see with `trigpoint target check` whether "
+        f"no view of the target was found in {count} pictures: the target file describes "
+        f"{' and '.join(faces)}, and they show none; see with `trigpoint target check` whether "
         "that is the board"
     )
 

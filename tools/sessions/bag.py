@@ -40,6 +40,13 @@ def parse_roles(texts: Sequence[str]) -> list[Role]:
                 f"--topic {text}: say whose it is, like c1=/front/image_raw or r1=/odom"
             )
         roles.append(Role(name.strip(), topic.strip()))
+    for role in roles:
+        names = [other.name for other in roles if other.topic == role.topic]
+        if len(names) > 1:
+            raise InputError(
+                f"--topic: {role.topic} is given {len(names)} times, as {' and '.join(names)}; "
+                "each topic is one camera's or robot's"
+            )
     return roles
 
 
@@ -77,15 +84,25 @@ def _names(path: Path, bag: Bag, roles: Sequence[Role], inputs: Inputs) -> Mappi
     """Topic -> camera or robot, each fitting its type."""
     names: dict[str, str] = {}
     site = inputs.site
+
+    def is_info(topic: str) -> bool:
+        return bag.topics.get(topic) == CAMERA_INFO
+
     for role in roles:
         kind = bag.topics.get(role.topic)
         of_camera = kind in (*PICTURES, CAMERA_INFO, SIGHTINGS)
         if kind is not None and (of_camera or kind == ODOMETRY):
             (site.camera if of_camera else site.robot)(role.name)
+        before = [t for t, name in names.items() if name == role.name and not is_info(t)]
+        if before and not is_info(role.topic):
+            raise InputError(
+                f"--topic gives {role.name} both {before[0]} and {role.topic}; two of them need "
+                "two names in the site file"
+            )
         names[role.topic] = role.name
         if kind in PICTURES:
             for beside in _infos_beside(role.topic):
-                if bag.topics.get(beside) == CAMERA_INFO:
+                if is_info(beside):
                     names.setdefault(beside, role.name)
     if not any(bag.topics.get(topic) == ODOMETRY for topic in names) and (
         odometry := sorted(topic for topic, kind in bag.topics.items() if kind == ODOMETRY)

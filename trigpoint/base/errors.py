@@ -15,6 +15,7 @@
 A message says what, where, and what to do, in one line.
 """
 
+import codecs
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -86,10 +87,23 @@ def read_text(
     """Return the file's text; raise `error` with a one-line message if that fails. `remedy`: what
     to do where there is no such file."""
     try:
-        return path.read_text(encoding="utf-8")
+        data = path.read_bytes()
     except FileNotFoundError:
         raise error(f"{path}: there is no such {kind}; {remedy}") from None
-    except UnicodeDecodeError:
-        raise error(f"{path}: this is not text, so it is no {kind}; check the path") from None
     except OSError as reason:
         raise error(f"{path}: the {kind} cannot be read ({reason.strerror}); check it") from None
+    return _decoded(data, path, kind, error)
+
+
+def _decoded(data: bytes, path: Path, kind: str, error: type[InputError]) -> str:
+    """The text with `\\n` at its lines' ends. What editors and shells of Windows write begins with
+    a mark that says how it is to be read."""
+    is_wide = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    try:
+        text = data.decode("utf-16" if is_wide else "utf-8-sig")
+    except UnicodeDecodeError as reason:
+        if is_wide or b"\0" in data:
+            raise error(f"{path}: this is not text, so it is no {kind}; check the path") from None
+        line = data.count(b"\n", 0, reason.start) + 1
+        raise error(f"{path}:{line}: this line is not UTF-8; save the {kind} as UTF-8") from None
+    return text.replace("\r\n", "\n").replace("\r", "\n")

@@ -160,6 +160,11 @@ def _distortion_of(found: _Keys) -> np.ndarray:
             names = ("k2", "k3", "k4", "k5")  # camodocal counts from the third power of the angle
     else:
         names = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+    if all(value is None for value in singly.values()):
+        raise InputError(
+            f"{found.file}: the key «distortion_coefficients» is missing; write it as ROS does, "
+            "with five zeros where the lens has no distortion"
+        )
     given = [0 if singly[name] is None else _only(singly[name]) for name in names]
     return _Keys({"all": given}, found.file).numbers(["all"], "k1, k2, …")
 

@@ -4,6 +4,7 @@ A face's frame has x along a row of corners, y from row to row, z into the board
 corner 0; corner numbers and the half turn are defined in the contract.
 """
 
+from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from functools import cache
 from pathlib import Path
@@ -20,7 +21,8 @@ from .config import Count, Positive
 from .toml_file import load_toml, parse_toml
 
 # No robot carries larger squares, or any so far from its base, and no camera sees smaller ones.
-_SMALLEST_SQUARE_M, _LARGEST_SQUARE_M, _FARTHEST_M = 2e-4, 2.0, 50.0
+_SMALLEST_SQUARE_M, _LARGEST_SQUARE_M, _FARTHEST_M = 2e-4, 1.0, 20.0
+_UNITS = (("millimetres", 1e-3), ("centimetres", 1e-2), ("inches", 0.0254))
 NOWHERE = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 """Translation and quaternion of a face that has no place yet."""
 
@@ -79,10 +81,9 @@ class Face(Struct, frozen=True, forbid_unknown_fields=True):
         """Raise ValueError for lengths that are in other units than metres."""
         if self.square > _LARGEST_SQUARE_M:
             keys = [key for key in ("square", "marker") if getattr(self, key) is not None]
-            written = " and ".join(f"{key} = {getattr(self, key) / 1000:g}" for key in keys)
+            written = _in_metres({key: (getattr(self, key),) for key in keys})
             raise ValueError(
-                f"squares of {self.square:g} m are no board's; lengths are in metres: write "
-                f"{written} if they were millimetres"
+                f"squares of {self.square:g} m are no board's; lengths are in metres: {written}"
             )
         if self.square < _SMALLEST_SQUARE_M:
             raise ValueError(
@@ -90,10 +91,9 @@ class Face(Struct, frozen=True, forbid_unknown_fields=True):
             )
         away = float(np.linalg.norm(self.translation))
         if away > _FARTHEST_M:
-            metres = ", ".join(f"{value / 1000:g}" for value in self.translation)
+            written = _in_metres({"translation": self.translation})
             raise ValueError(
-                f"the face is {away:g} m from its robot's base; lengths are in metres: write "
-                f"translation = [{metres}] if they were millimetres"
+                f"the face is {away:g} m from its robot's base; lengths are in metres: {written}"
             )
 
     def _check_checkerboard(self) -> None:
@@ -205,6 +205,20 @@ class Face(Struct, frozen=True, forbid_unknown_fields=True):
             self.numbering,
         )
         return (*geometry, *marks)
+
+
+def _in_metres(lengths: Mapping[str, Sequence[float]]) -> str:
+    """What to write for keys whose lengths are of another unit, which nobody can tell."""
+    ways = []
+    for unit, metres in _UNITS:
+        said = {key: [f"{metres * one:.4g}" for one in values] for key, values in lengths.items()}
+        written = [f"{key} = {_listed(values)}" for key, values in said.items()]
+        ways.append(f"{' and '.join(written)} if they were {unit}")
+    return f"write {', '.join(ways)}"
+
+
+def _listed(values: Sequence[str]) -> str:
+    return values[0] if len(values) == 1 else f"[{', '.join(values)}]"
 
 
 @cache

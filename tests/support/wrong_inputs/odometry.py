@@ -136,6 +136,43 @@ def a_few_unusable(folder: Path, random: np.random.Generator) -> Case:
     return Case(calibrated(folder, change), (0,), (rf"\b{count}\b", LOCATED))
 
 
+def other_conventions(folder: Path, random: np.random.Generator) -> Case:
+    """A quaternion's w first, x and y exchanged, no heading: said, whatever becomes of it."""
+    kind = int(random.integers(3))
+
+    def change(_number: int, odometry: Any) -> None:
+        pose = odometry.pose.pose
+        turn = pose.orientation
+        if kind == 0:
+            turn.x, turn.y, turn.z, turn.w = turn.w, turn.x, turn.y, turn.z
+        elif kind == 1:
+            pose.position.x, pose.position.y = pose.position.y, pose.position.x
+        else:
+            turn.x, turn.y, turn.z, turn.w = 0.0, 0.0, 0.0, 1.0
+
+    says = ("x, y, z, w", "axes", "heading")[kind]
+    return Case(calibrated(folder, change), (0, 1), (says,))
+
+
+def other_units(folder: Path, random: np.random.Generator) -> Case:
+    """Lengths in milli- or centimetres or inches, stamps whose seconds are others, or which lack
+    the nanoseconds."""
+    kind, by = int(random.integers(4)), float(random.choice([39.37, 100, 1000]))
+
+    def change(_number: int, odometry: Any) -> None:
+        stamp, place = odometry.header.stamp, odometry.pose.pose.position
+        if kind == 0:
+            place.x, place.y = by * place.x, by * place.y
+        elif kind == 1:
+            stamp.nanosec = 0
+        else:
+            ticks = (stamp.sec * 10**9 + stamp.nanosec) // (10**6, 1)[kind - 2]
+            stamp.sec, stamp.nanosec = (ticks + 2**31) % 2**32 - 2**31, 0
+
+    says = ("metres", "nanoseconds", "milli- or nano", "milli- or nano")[kind]
+    return Case(calibrated(folder, change), (0, 1) if kind == 1 else (1,), (says,))
+
+
 ODOMETRY: Mapping[str, Kind] = {
     "two clocks": two_clocks,
     "stamps of zero": zero_stamps,
@@ -143,4 +180,6 @@ ODOMETRY: Mapping[str, Kind] = {
     "a quaternion's length": quaternion_length,
     "no pose in odometry": unusable_pose,
     "a few poses that are none": a_few_unusable,
+    "other axes or another order": other_conventions,
+    "other units": other_units,
 }

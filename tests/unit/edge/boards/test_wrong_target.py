@@ -86,6 +86,52 @@ def test_grid_as_kalibr_prints_it_is_said(described: dict[str, object], remedy: 
     assert remedy in line
 
 
+KALIBR = replace(aprilgrid(6, 5, border_bits=2), numbering=Numbering.KALIBR)
+
+
+@pytest.mark.parametrize(
+    ("true", "described", "said"),
+    [
+        (
+            KALIBR,
+            charuco(5, 7),
+            ["columns = 6", 'pattern = "aprilgrid"', "36h11", "border_bits = 2"],
+        ),
+        (charuco(8, 6, legacy=True), KALIBR, ["columns = 8", 'pattern = "charuco"', "DICT_4X4"]),
+        (
+            replace(charuco(7, 10, legacy=True), dictionary="DICT_5X5_100"),
+            charuco(6, 5),
+            ["columns = 7, rows = 10 or more", "DICT_5X5", "legacy = true"],
+        ),
+        (
+            aprilgrid(5, 4),
+            replace(KALIBR, dictionary="DICT_APRILTAG_25h9", columns=3),
+            ["columns = 5, rows = 4 or more", "36h11", "border_bits = 1", '"top-left"'],
+        ),
+    ],
+    ids=["a grid", "a ChArUco board", "larger, of other markers", "all of a grid"],
+)
+@pytest.mark.parametrize("is_mirrored", [False, True])
+def test_board_that_differs_in_all_is_said_whole(
+    true: Face, described: Face, said: list[str], is_mirrored: bool
+) -> None:
+    detector = detector_for([target_of(described)])
+    for picture in shots(true, np.random.default_rng(2), 2):
+        shown = np.fliplr(picture).copy() if is_mirrored else picture
+        assert detector.detect(shown) == ()
+    [line] = detector.misdescribed
+    assert [words for words in said if words not in line] == []
+    assert ("mirrored board" in line) is is_mirrored
+
+
+def test_board_of_the_sites_other_pattern_is_no_misdescribed_one() -> None:
+    grid = replace(KALIBR, id=1)
+    detector = detector_for([target_of(charuco(5, 7), grid)])
+    for picture in shots(grid, np.random.default_rng(2), 2):
+        assert detector.detect(picture)
+    assert detector.misdescribed == ()
+
+
 def test_markers_that_chance_reads_at_an_edge_are_no_board_where_the_board_goes_on() -> None:
     true = Face(0, Pattern.CHARUCO, 7, 5, 0.04, *NOWHERE, marker=0.03, dictionary="DICT_5X5_100")
     described = replace(true, columns=5, rows=7, dictionary="DICT_4X4_50")

@@ -19,9 +19,9 @@ def _tried(monkeypatch: pytest.MonkeyPatch) -> list[object]:
     tried = list[object]()
     best = misdescribed._Scene.best  # pyright: ignore[reportPrivateUsage]
 
-    def recorded(scene: object, look: object, others: object) -> object:
-        tried.append(others)
-        return best(scene, look, others)  # pyright: ignore[reportArgumentType]
+    def recorded(scene: object, reading: object) -> object:
+        tried.append(reading)
+        return best(scene, reading)  # pyright: ignore[reportArgumentType]
 
     monkeypatch.setattr(misdescribed._Scene, "best", recorded)  # pyright: ignore
     return tried
@@ -40,7 +40,7 @@ def wall() -> np.ndarray:
 
 
 def test_a_wall_of_markers_is_looked_at_over_several_pictures(tried: list[object]) -> None:
-    boards, picture = MisdescribedBoards([Appearance(BOARD, "box", 0)]), wall()
+    boards, picture = MisdescribedBoards([Appearance(BOARD, "box", 0)], [BOARD]), wall()
     boards.look(picture, set())
     first = list(tried)
     for _ in range(20):
@@ -50,7 +50,7 @@ def test_a_wall_of_markers_is_looked_at_over_several_pictures(tried: list[object
 
 
 def test_no_board_is_begun_when_the_time_is_over(tried: list[object]) -> None:
-    boards = MisdescribedBoards([Appearance(BOARD, "box", 0)])
+    boards = MisdescribedBoards([Appearance(BOARD, "box", 0)], [BOARD])
     picture = np.full((480, 640), 230, np.uint8)
     boards.look(picture, set(), lambda: len(tried) >= 2)
     assert len(tried) == 2

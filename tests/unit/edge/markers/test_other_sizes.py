@@ -5,6 +5,7 @@ import pytest
 from msgspec.structs import replace
 
 from trigpoint.edge.markers.markers import Markers
+from trigpoint.edge.markers.other_boards import Reading
 from trigpoint.edge.markers.other_sizes import layout_of, other_size
 from trigpoint.edge.registration.appearance import Appearance
 from trigpoint.site.target import NOWHERE, Face, Numbering, Pattern
@@ -15,6 +16,7 @@ GRID = Face(
     dictionary="DICT_APRILTAG_36h11",
     numbering=Numbering.KALIBR,
 )
+AS_DESCRIBED = Reading(Appearance(GRID, "box", 0), GRID, False, ())
 
 
 def read(true: Face, numbers: list[int]) -> Markers:
@@ -25,7 +27,7 @@ def read(true: Face, numbers: list[int]) -> Markers:
 
 def test_a_wider_board_is_told_by_its_rows() -> None:
     true = replace(GRID, columns=11, rows=4)
-    found = other_size(Appearance(GRID, "box", 0), read(true, list(range(44))))
+    found = other_size(AS_DESCRIBED, read(true, list(range(44))))
     assert found is not None
     assert found.face.columns == 11
 
@@ -33,5 +35,5 @@ def test_a_wider_board_is_told_by_its_rows() -> None:
 @pytest.mark.parametrize("shown", [[*range(7), 11, 12, 13], [*range(10)]])
 def test_rows_that_fit_boards_of_several_widths_tell_nothing_false(shown: list[int]) -> None:
     true = replace(GRID, columns=11, rows=4)
-    found = other_size(Appearance(GRID, "box", 0), read(true, shown))
+    found = other_size(AS_DESCRIBED, read(true, shown))
     assert found is None or found.face.columns == 11

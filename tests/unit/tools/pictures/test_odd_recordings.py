@@ -334,10 +334,31 @@ def test_a_topic_without_pictures_is_said_and_the_status_is_1(
         )
 
 
-def test_a_part_that_is_not_there_is_named(tmp_path: Path, cli: Cli) -> None:
+@pytest.mark.parametrize("is_there", [True, False])
+def test_a_part_in_which_there_is_nothing_is_named_and_the_others_are_read(
+    tmp_path: Path, cli: Cli, is_there: bool
+) -> None:
+    """As a full disk leaves it, or who copied by hand."""
     bag = parts(tmp_path / "bag", packed=False)
     (bag / "a.mcap").unlink()
-    assert "a.mcap: is listed in metadata.yaml, but not there" in cli.refused("info", bag)
+    if is_there:
+        (bag / "a.mcap").touch()
+    why = "the file is empty" if is_there else "is listed in metadata.yaml, but not there"
+    said = cli("info", bag, "--json")
+    assert f"a.mcap: {why}" in said.err
+    assert json.loads(said.out)["keys"][TOPIC[1:]]["messages"] == 1
+    assert f"a.mcap: error: {why}" in cli("check", bag, status=1).out
+    cli("recover", bag)
+    assert open_recording(bag / "recovered").counts == {TOPIC[1:]: 1}
+    (bag / "z.mcap").write_bytes(b"")
+    assert "z.mcap: the file is empty" in cli.refused("info", bag)
+
+
+def test_check_sends_nobody_to_recover_where_nothing_can_be_saved(tmp_path: Path, cli: Cli) -> None:
+    bag = write(tmp_path / "bag.mcap", [SOUND] * 2)
+    bag.write_bytes(bag.read_bytes()[:60])
+    assert "copy or record it anew" in (said := cli("check", bag, status=1)).err
+    assert "recover" not in said.err
 
 
 @pytest.mark.parametrize(("encoding", "words"), [("ros1", "ROS 1"), ("json", "JSON")])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import zstandard
 from rosbags.rosbag2 import StoragePlugin, Writer
-from support.builders import make_odometry
+from support.builders import TARGET_TEXT, make_odometry, site_text
 from support.commands import Cli, Said
 from support.fusion.foreign import as_foreign
 from support.pictures.boards import CAMERA, charuco, picture_of, placed, plain_picture
@@ -191,3 +191,25 @@ def test_board_that_the_target_file_has_wrong_is_said_by_calibrate(
     assert "c1 is unseen: face 0" in said.err
     assert 'write dictionary = "DICT_4X4_250"' in said.err
     assert "DICT_4X4_250" in (tmp_path / "out" / "report.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("roles", "said"),
+    [
+        (["c1=/a", "c2=/a"], "/a is given 2 times, as c1 and c2"),
+        (["c1=/a", "c1=/b"], "gives c1 both /a and /b"),
+        (["r1=/odom", "r1=/odom2"], "gives r1 both /odom and /odom2"),
+    ],
+)
+def test_topic_of_two_and_two_of_one_are_refused(
+    tmp_path: Path, cli: Cli, roles: list[str], said: str
+) -> None:
+    """Before, the last one was taken, and the other was «unseen» without a word."""
+    (tmp_path / "site.toml").write_text(site_text(cameras=2))
+    (tmp_path / "target.toml").write_text(TARGET_TEXT)
+    odometry = store().deserialize_cdr(cdr.encode(make_odometry(10**9)), "nav_msgs/msg/Odometry")
+    pictures = {topic: [raw(GREY, "mono8")] for topic in ("/a", "/b")}
+    drives = {topic: [odometry] for topic in ("/odom", "/odom2")}
+    bag = write_bag(tmp_path / "bag", StoragePlugin.MCAP, {**pictures, **drives})
+    words = ["calibrate", bag, "--site", tmp_path / "site.toml"]
+    assert said in cli.refused(*words, *(word for role in roles for word in ("--topic", role)))

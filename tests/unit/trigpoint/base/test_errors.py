@@ -26,6 +26,32 @@ def test_text_is_read(tmp_path: Path) -> None:
     assert read_text(path, "file", InputError) == "ü"
 
 
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-be"])
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_text_as_windows_writes_it_is_the_same(tmp_path: Path, encoding: str, end: str) -> None:
+    path = tmp_path / "a.txt"
+    mark = "\ufeff" if encoding == "utf-16-be" else ""
+    path.write_bytes((mark + f"a = 1{end}# Tür{end}").encode(encoding))
+    assert read_text(path, "file", InputError) == "a = 1\n# Tür\n"
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        ("a\n# Tür\n".encode("latin-1"), "a.txt:2: this line is not UTF-8; save the file as UTF-8"),
+        (b"\x89PNG\r\n\x1a\n\0\0", "a.txt: this is not text, so it is no file; check the path"),
+    ],
+)
+def test_what_is_no_utf8_is_said_by_its_line_and_what_is_no_text(
+    tmp_path: Path, data: bytes, said: str
+) -> None:
+    path = tmp_path / "a.txt"
+    path.write_bytes(data)
+    with pytest.raises(InputError) as caught:
+        read_text(path, "file", InputError)
+    assert str(caught.value).endswith(said)
+
+
 def test_folder_in_place_of_a_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="the site file cannot be read"):
         read_text(tmp_path, "site file", InputError)

@@ -40,11 +40,14 @@ def test_checkerboard_corners_are_the_inner_ones_row_by_row() -> None:
     [
         ({"square": 30}, "write square = 0.03"),
         ({"square": 114.4, "marker": 88}, "write square = 0.1144 and marker = 0.088"),
+        ({"square": 3}, "square = 0.03 if they were centimetres"),
+        ({"square": 1.5}, "square = 0.0381 if they were inches"),
         ({"square": 0.00003}, "too small"),
+        ({"translation": (12.0, 0, 28.0)}, r"\[0.12, 0, 0.28\] if they were centimetres"),
         ({"translation": (150.0, 0.0, 500.0)}, r"write translation = \[0.15, 0, 0.5\]"),
     ],
 )
-def test_lengths_in_millimetres_are_refused(changes: dict[str, object], remedy: str) -> None:
+def test_lengths_in_other_units_are_refused(changes: dict[str, object], remedy: str) -> None:
     with pytest.raises(ValueError, match=remedy):
         make_face(**changes)
 

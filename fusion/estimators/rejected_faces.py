@@ -1,0 +1,62 @@
+"""Faces most of whose sightings contradict the rest: wrong ones are rare, and not one face's."""
+
+from collections import Counter
+from collections.abc import Iterator
+
+from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.observations import Observation, Verdict
+
+# So many are no accident: of a face, of all of a target; and of those that were seen.
+_LEAST_OF_FACE, _LEAST_OF_ALL = 3, 6
+_MOST_OF_FACE, _MOST_OF_ALL = 3 / 4, 1 / 3
+_Faces = Counter[tuple[str, int]]
+
+
+def rejected_faces(data: DataSet) -> tuple[str, ...]:
+    """A line for each face that what else was seen contradicts, or one for a robot's target, where
+    that holds for other faces too; of sightings whose camera is located and whose face the picture
+    tells."""
+    seen, rejected = _Faces(), _Faces()
+    for entry in data.entries:
+        _count(entry.observation, seen, rejected)
+    return tuple(line for robot in data.site.robots for line in _lines(data, robot, seen, rejected))
+
+
+def _count(observation: Observation, seen: _Faces, rejected: _Faces) -> None:
+    if observation.verdict is Verdict.PENDING or observation.is_repeat:
+        return
+    is_whole = observation.verdict is Verdict.REJECTED
+    for number, view in enumerate(observation.views):
+        faces = {reading.face for reading in view.readings}
+        if len(faces) > 1:
+            continue
+        key = (observation.robot, faces.pop())
+        seen[key] += 1
+        wild = observation.outliers[number] if observation.outliers else None
+        rejected[key] += is_whole or (wild is not None and bool(wild.all()))
+
+
+def _lines(data: DataSet, robot: str, seen: _Faces, rejected: _Faces) -> Iterator[str]:
+    mine = [key for key in seen if key[0] == robot]
+    wrong = [
+        key
+        for key in mine
+        if rejected[key] >= _LEAST_OF_FACE and rejected[key] > _MOST_OF_FACE * seen[key]
+    ]
+    others = [key for key in mine if key not in wrong]
+    count, bad = (sum(kind[key] for key in others) for kind in (seen, rejected))
+    if bad >= _LEAST_OF_ALL and bad > _MOST_OF_ALL * count:
+        count, bad = (sum(kind[key] for key in mine) for kind in (seen, rejected))
+        yield (
+            f"{bad} of {count} sightings of {robot} contradict the rest; measure the squares of "
+            "its print (printers scale), and compare the faces' places in the target file and the "
+            "lens with what is there"
+        )
+        return
+    for key in wrong:
+        face = data.targets[robot].faces[key[1]].id
+        yield (
+            f"{rejected[key]} of {seen[key]} sightings of face {face} of {robot} contradict the "
+            "rest; compare its translation, quaternion and size in the target file with the robot: "
+            "two faces may be exchanged, or one upside down"
+        )

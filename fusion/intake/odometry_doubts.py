@@ -1,0 +1,111 @@
+"""Odometry that cannot be as the contract has it: what of it is odd, and what that often means.
+
+Told of what came, not guessed: units, axes and the order of a quaternion are the sender's matter.
+Pure: no bus, no clock.
+"""
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+from msgspec import Struct
+
+from trigpoint.base.clock import to_ns, to_seconds
+from trigpoint.contract.messages import Odometry
+from trigpoint.fusion.model.odometry import OdometryTrack
+from trigpoint.site.config import Site
+
+# The cosine of 30°: no floor on which a robot drives in the plane tilts it so.
+_UPRIGHT = 0.87
+# Fewer messages say little.
+_LEAST = 10
+# Nobody drives by odometry that comes more rarely.
+_LONGEST_PERIOD_NS = to_ns(5.0)
+# Of the messages: odometry restarts, or is sent twice, now and then.
+_MOST_JUMPS, _MOST_STALE, _MOST_TILTED = 0.1, 0.5, 0.5
+# Of the way, as many of a robot that turns at a point that is not its middle.
+_MOST_SIDEWAYS = 0.3
+# Of an explanation: a robot is carried once or twice.
+_MOST_BREAKS = 2
+_CONVENTION = "x is forward and y left in metres, and headings turn to the left in radians"
+
+
+class _Came(Struct):
+    """How many messages of a robot came, from when to when, and how many of them were not newer
+    than one before, or turned out of the plane."""
+
+    first_ns: int
+    last_ns: int
+    count: int = 0
+    stale: int = 0
+    tilted: int = 0
+
+
+class OdometryDoubts:
+    """What is odd about robots' odometry, by `tracks` and by what `add` was told of."""
+
+    def __init__(self, site: Site, tracks: Mapping[str, OdometryTrack]) -> None:
+        self._site, self._tracks = site, tracks
+        self._came: dict[str, _Came] = {}
+
+    def add(self, robot: str, message: Odometry) -> None:
+        """Note a message of a robot."""
+        stamp_ns = message.stamp_ns
+        came = self._came.get(robot)
+        if came is None:
+            came = self._came[robot] = _Came(stamp_ns, stamp_ns - 1)
+        came.count += 1
+        came.stale += stamp_ns <= came.last_ns
+        came.last_ns = max(came.last_ns, stamp_ns)
+        came.tilted += message.pose.rotation.item(2, 2) < _UPRIGHT
+
+    @property
+    def texts(self) -> list[str]:
+        """What is odd, a line each."""
+        return [
+            f"robot {robot}: {words}"
+            for robot, came in self._came.items()
+            if robot in self._tracks and came.count >= _LEAST
+            for words in (*self._in_messages(robot, came), *_in_track(self._tracks[robot]))
+        ]
+
+    def _in_messages(self, robot: str, came: _Came) -> Iterator[str]:
+        count, of_all = came.count, f"of {came.count} odometry messages"
+        fresh = count - came.stale
+        if came.stale > _MOST_STALE * count:
+            yield (
+                f"{came.stale} {of_all} are stamped no later than one before, and not used; do "
+                "their stamps lack the nanoseconds, or do two send them?"
+            )
+        if (seconds := to_seconds(came.last_ns - came.first_ns)) > fresh * to_seconds(
+            _LONGEST_PERIOD_NS
+        ):
+            yield (
+                f"its {count} odometry messages are {seconds / fresh:.3g} s apart by their stamps; "
+                "are the seconds in them milli- or nanoseconds?"
+            )
+        if self._site.robots[robot].planar and came.tilted > _MOST_TILTED * count:
+            yield (
+                f"{came.tilted} {of_all} are turned out of the plane by more than 30°; are "
+                "quaternions in the order x, y, z, w, and is z upwards? (planar = false for a "
+                "robot that does tilt so)"
+            )
+
+
+def _in_track(track: OdometryTrack) -> Iterator[str]:
+    if (count := track.jump_count) > _MOST_JUMPS * len(track):
+        yield (
+            f"{count} of {len(track)} odometry messages lie farther from the one before than any "
+            "robot drives; are its lengths in metres, and its stamps right?"
+        )
+    along, across = track.way
+    if across > _MOST_SIDEWAYS * np.hypot(along, across):
+        yield (
+            f"by its odometry it drove {across:.1f} m sideways and {along:.1f} m along; where it "
+            f"cannot do so, its axes, or the unit or sign of its heading, are wrong: {_CONVENTION}"
+        )
+    if (breaks := track.break_count) > _MOST_BREAKS:
+        yield (
+            f"its odometry and what cameras saw agree only if it was carried {breaks} times; if "
+            f"nobody did, its odometry is wrong ({_CONVENTION}), or its target file (the faces' "
+            "places and sizes)"
+        )

@@ -1,0 +1,36 @@
+"""Pictures in which nothing of the target is found: the board that they show is named."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.commands import Cli
+from support.pictures.boards import aprilgrid, charuco, checkerboard
+from support.wrong_inputs.targets import shots, write_shots, write_target
+
+from trigpoint.site.target import Face
+from trigpoint.tools.pictures.unlike import squares_seen
+
+
+@pytest.mark.parametrize("described", [charuco(), checkerboard(6, 9), aprilgrid()])
+def test_board_that_is_seen_in_place_of_the_targets_is_named(
+    described: Face, tmp_path: Path, cli: Cli
+) -> None:
+    pictures = write_shots(tmp_path, shots(checkerboard(8, 6), np.random.default_rng(3), 10))
+    target = write_target(tmp_path, described)
+    said = "10 of the first pictures show a board of 8 × 6 squares"
+    assert said in cli("detect", pictures, "--target", target).err
+    out = tmp_path / "lens.yaml"
+    assert said in cli("intrinsics", pictures, "--target", target, "--out", out, status=1).err
+
+
+def test_board_that_is_cut_now_here_now_there_is_none() -> None:
+    """Its parts are of other sizes each time."""
+    whole = shots(checkerboard(9, 7), np.random.default_rng(3), 6)
+    parts = []
+    for number, picture in enumerate(whole):
+        part = picture.copy()
+        part[:, : 130 + 45 * number] = 120
+        parts.append(part)
+    assert squares_seen(parts) == ""
+    assert squares_seen(whole) == "6 of the first pictures show a board of 9 × 7 squares"
