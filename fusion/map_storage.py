@@ -30,8 +30,8 @@ from .checkpoint import (
     set_aside,
 )
 from .intake.admission import AHEAD_NS
-from .model.odometry import Readings
 from .model.past import ODOMETRY_BEFORE_NS, Past
+from .model.readings import Readings
 from .past_file import save_past
 from .standing_odometry import StandingOdometry
 

@@ -35,7 +35,7 @@ from .live.guidance_thread import GuidanceThread
 from .live.solver_messages import Solver
 from .map_storage import MapStorage, Stored
 from .model.inputs import Inputs
-from .model.odometry import Readings
+from .model.readings import Readings
 from .output import Output
 from .pipeline_maker import PipelineMaker
 from .publishing import Publishing

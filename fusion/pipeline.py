@@ -30,8 +30,9 @@ from .live.solver_messages import Solution, Solver
 from .model.dataset import Conclusions, Event
 from .model.inputs import Inputs
 from .model.observations import Observation
-from .model.odometry import Added, Readings
+from .model.odometry import Added
 from .model.past import Past
+from .model.readings import Readings
 from .output import Output, output_of
 from .robot_announcements import RobotAnnouncements
 from .solver.filter import RobotEstimate

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 
 from trigpoint.contract.messages import Message, Odometry
 
-from .model.odometry import Readings
+from .model.readings import Readings
 from .pipeline import Pipeline
 
 

@@ -8,7 +8,7 @@ from msgspec import Struct
 from trigpoint.fusion.association.explanation import Alternative
 from trigpoint.fusion.model.dataset import CameraMove
 from trigpoint.fusion.model.observations import Observation
-from trigpoint.fusion.model.odometry import Readings
+from trigpoint.fusion.model.readings import Readings
 from trigpoint.fusion.solver.filter import RobotEstimate
 from trigpoint.fusion.solver.snapshot import GuidanceWorld
 from trigpoint.geometry import CameraModel, Pose

@@ -16,7 +16,7 @@ from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.model.dataset import CameraMove, Conclusions, DataSet
 from trigpoint.fusion.model.known_cameras import KnownCameras
 from trigpoint.fusion.model.observations import Observation
-from trigpoint.fusion.model.odometry import Readings
+from trigpoint.fusion.model.readings import Readings
 from trigpoint.fusion.solver.filter import RobotEstimate
 from trigpoint.fusion.solver.snapshot import GuidanceWorld
 from trigpoint.geometry import Pose

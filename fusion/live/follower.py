@@ -23,7 +23,8 @@ from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.estimators.smoother.current_filter import CurrentFilter
 from trigpoint.fusion.model.dataset import CameraMove, DataSet, Entry, Event
 from trigpoint.fusion.model.observations import Observation
-from trigpoint.fusion.model.odometry import Added, Readings
+from trigpoint.fusion.model.odometry import Added
+from trigpoint.fusion.model.readings import Readings
 from trigpoint.fusion.solver.filter import RobotEstimate
 from trigpoint.fusion.solver.snapshot import GuidanceWorld
 from trigpoint.geometry import Pose

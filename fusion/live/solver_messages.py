@@ -9,8 +9,8 @@ from trigpoint.contract.messages import OccupancyGrid
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.model.dataset import CameraMove, Conclusions, Event
 from trigpoint.fusion.model.observations import Observation
-from trigpoint.fusion.model.odometry import Readings
 from trigpoint.fusion.model.past import Past
+from trigpoint.fusion.model.readings import Readings
 from trigpoint.fusion.solver.filter import Filter
 from trigpoint.geometry import CameraModel, Pose
 

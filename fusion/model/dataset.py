@@ -120,7 +120,8 @@ class DataSet(Struct):
         self._by_camera, self._sorted = {}, 0  # of these entries, also in a copy with others
         for name, robot in self.site.robots.items():
             if name not in self.tracks:
-                self.tracks[name] = OdometryTrack(robot.odometry, planar=robot.planar)
+                fastest, planar = (robot.max_speed, robot.max_turn), robot.planar
+                self.tracks[name] = OdometryTrack(robot.odometry, planar=planar, fastest=fastest)
 
     @property
     def has_alike_robots(self) -> bool:

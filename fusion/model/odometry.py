@@ -7,22 +7,20 @@ the increment's twist and of its variance. The core composes the motion (`odomet
 
 import bisect
 import copy
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from enum import IntEnum
-from typing import Self
 
 import numpy as np
-from msgspec import Struct
 from numpy.linalg import LinAlgError
 
 from trigpoint.base.clock import to_ns
-from trigpoint.contract.messages import Odometry
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.site.config import OdometryNoise
 
 from . import odometry_kernels
 from .motion import STILL, Motion, both, composed, moved
+from .readings import Readings
 from .rest import Rest
 
 PARTS = (
@@ -38,6 +36,9 @@ PARTS = (
 PLANAR = [0, 1, 5]
 SPATIAL = [0, 1, 2, 3, 4, 5]
 
+# No robot exceeds these, m/s and rad/s, unless its site file says more: a larger step means that
+# its counters restarted or that it was carried, and says nothing about where it is.
+_FASTEST = 5.0, 20.0
 # Over a longer gap in its odometry a robot is not taken to drive straight between the ends.
 LONGEST_GAP_S = 1.0
 # This many messages of a standstill are kept individually (20 s at 50 Hz); later ones are merged
@@ -58,41 +59,6 @@ class Added(IntEnum):
     JUMP = 1
 
 
-class Readings(Struct, frozen=True):
-    """Odometry messages of one robot that came one after the other: stamps (n,), ns, and poses
-    (n)."""
-
-    stamps_ns: np.ndarray
-    odom_from_base: Pose
-
-    def __len__(self) -> int:
-        return len(self.stamps_ns)
-
-    def __getitem__(self, rows: slice | np.ndarray) -> "Readings":
-        return Readings(self.stamps_ns[rows], self.odom_from_base[rows])
-
-    @property
-    def last_ns(self) -> int:
-        return self.stamps_ns.item(-1)
-
-    @classmethod
-    def of(cls, messages: Sequence[Odometry]) -> Self:
-        stamps_ns = np.array([message.stamp_ns for message in messages], dtype=np.int64)
-        return cls(stamps_ns, Pose.stack([message.pose for message in messages]))
-
-    @classmethod
-    def joined(cls, some: "Sequence[Readings]") -> Self:
-        """Some, one after the other."""
-        poses = [each.odom_from_base for each in some]
-        return cls(
-            np.concatenate([each.stamps_ns for each in some]),
-            Pose(
-                np.concatenate([pose.rotation for pose in poses]),
-                np.concatenate([pose.translation for pose in poses]),
-            ),
-        )
-
-
 class OdometryTrack:
     """The odometry of one robot so far. Not thread-safe.
 
@@ -100,8 +66,17 @@ class OdometryTrack:
     and along the track alone; `scales`: the scale errors by which the reports were corrected.
     """
 
-    def __init__(self, noise: OdometryNoise, *, planar: bool, slip: float = SLIP) -> None:
+    def __init__(
+        self,
+        noise: OdometryNoise,
+        *,
+        planar: bool,
+        slip: float = SLIP,
+        fastest: tuple[float, float] = _FASTEST,
+    ) -> None:
+        """`fastest`: how fast the robot may drive, m/s, and turn, rad/s."""
         self.noise, self.planar, self.slip, self.skid = noise, planar, slip, 0.0
+        self._fastest = np.maximum(_FASTEST, fastest)
         self.scales = (0.0, 0.0)
         self._count = 0
         self._stamps = np.zeros(1024, dtype=np.int64)
@@ -181,7 +156,8 @@ class OdometryTrack:
         reported, became = Pose(np.empty((3, 3)), np.empty(3)), np.empty_like(stamps_ns)
         tables = (getattr(self, name) for name in _ARRAYS)
         taken = odometry_kernels.ADDED(
-            *(self._rest, self.planar, MOST_STANDING, state, *tables, stamps_ns, *parts),
+            *(self._rest, self.planar, MOST_STANDING, self._fastest, state, *tables),
+            *(stamps_ns, *parts),
             *(reported.rotation, reported.translation, became),
         )
         self._count, self._period_ns, self._standing = state.tolist()

@@ -17,9 +17,14 @@ _NOISE = In(_REAL, (7,)), float, float, In(_REAL, (2,))
 _MOMENTS = In(_WHOLE, ("m",))
 _POSE = In(_REAL, (1, 12))
 
-# A track that grows: how many messages of a standstill it keeps; its messages, last interval and
-# standstill (3,), and its tables.
-_GROWING = int, Out(_WHOLE, (3,)), *(Out(table.dtype, table.shape) for table in _TRACK)
+# A track that grows: how many messages of a standstill it keeps; how fast its robot may drive and
+# turn; its messages, last interval and standstill (3,), and its tables.
+_GROWING = (
+    int,
+    In(_REAL, (2,)),
+    Out(_WHOLE, (3,)),
+    *(Out(table.dtype, table.shape) for table in _TRACK),
+)
 ADDED = Kernel(
     *("tp_odometry_added", Rest, int, *_GROWING, _MOMENTS),
     *(In(_REAL, ("m", 3, 3)), In(_REAL, ("m", 3)), Out(_REAL, (3, 3)), Out(_REAL, (3,))),

@@ -18,7 +18,7 @@ from trigpoint.fusion.estimators.interface import CameraCount, CameraEstimate, T
 from trigpoint.fusion.estimators.residuals import CameraResiduals
 from trigpoint.fusion.model.dataset import CameraMove, DataSet, Entry
 from trigpoint.fusion.model.observations import Observation, Verdict, base_from_faces
-from trigpoint.fusion.model.odometry import Readings
+from trigpoint.fusion.model.readings import Readings
 from trigpoint.fusion.solver.filter import RobotEstimate, carried_on, is_placed
 from trigpoint.fusion.solver.snapshot import GuidanceWorld
 from trigpoint.geometry import Pose

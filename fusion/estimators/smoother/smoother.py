@@ -24,8 +24,8 @@ from trigpoint.fusion.estimators.residuals import (
 )
 from trigpoint.fusion.model.dataset import CameraMove, DataSet, Entry
 from trigpoint.fusion.model.observations import Observation, Verdict
-from trigpoint.fusion.model.odometry import Readings
 from trigpoint.fusion.model.past import Past
+from trigpoint.fusion.model.readings import Readings
 from trigpoint.fusion.model.trajectory import interpolated
 from trigpoint.fusion.solver.filter import RobotEstimate
 from trigpoint.fusion.solver.snapshot import GuidanceWorld

@@ -30,9 +30,6 @@ constexpr double BIAS = 0.1 * DEGREE;
 // Over a longer silence than this, and than so many of the intervals before, nothing is noise.
 constexpr std::int64_t GAP_NS = 1'000'000'000;  // LONGEST_GAP_S of a track
 constexpr double GAP_INTERVALS = 3;
-// No robot of this kind exceeds these: a larger step means that its counters restarted or that it
-// was carried, and says nothing about where it is. m/s, rad/s.
-constexpr double MAXIMUM_SPEED = 5, MAXIMUM_TURN_RATE = 20;
 constexpr double GAP_PERIODS = 10, GAP_SHARE = 0.5;
 constexpr double ALLOWANCE = 0.05;  // m and rad, for the rounding of stamps
 
@@ -258,26 +255,27 @@ Pose reported(bool is_planar, const Argument* at, Eigen::Index index = 0) {
 // A track that grows message by message: the tables of `OdometryTrack`, which have room.
 class GrowingTrack {
 public:
-    static constexpr int ARGUMENTS = 8;
+    static constexpr int ARGUMENTS = 9;
     static constexpr std::int64_t STALE = -1, TAKEN = 0;
 
-    // (how many messages of a standstill are kept, messages so far with the last interval and the
-    // messages of the standstill (3,), which go on, stamps, rotations, translations, twists, jumps,
-    // gaps (n, …)).
+    // (how many messages of a standstill are kept, how fast it may drive and turn (2,), messages so
+    // far with the last interval and the messages of the standstill (3,), which go on, stamps,
+    // rotations, translations, twists, jumps, gaps (n, …)).
     GrowingTrack(Rest& rest, bool is_planar, const Argument* given)
         : rest_(rest),
           is_planar_(is_planar),
           most_standing_(given[0].whole),
-          room_(given[2].array.shape[0]),
-          count_(given[1].array.as<std::int64_t>()[0]),
-          period_ns_(given[1].array.as<std::int64_t>()[1]),
-          standing_(given[1].array.as<std::int64_t>()[2]),
-          stamps_(given[2].array.as<std::int64_t>()),
-          rotations_(given[3].array.as<double>()),
-          translations_(given[4].array.as<double>()),
-          twists_(given[5].array.as<double>()),
-          jumps_(given[6].array.as<bool>()),
-          gaps_(given[7].array.as<double>()) {
+          fastest_(given[1].array.as<double>()),
+          room_(given[3].array.shape[0]),
+          count_(given[2].array.as<std::int64_t>()[0]),
+          period_ns_(given[2].array.as<std::int64_t>()[1]),
+          standing_(given[2].array.as<std::int64_t>()[2]),
+          stamps_(given[3].array.as<std::int64_t>()),
+          rotations_(given[4].array.as<double>()),
+          translations_(given[5].array.as<double>()),
+          twists_(given[6].array.as<double>()),
+          jumps_(given[7].array.as<bool>()),
+          gaps_(given[8].array.as<double>()) {
         if (count_ < 0 || count_ > room_ || standing_ > MOST_NS)
             throw std::invalid_argument("a track that is none");
         if (count_ > 0) moment(stamps_[count_ - 1]);
@@ -325,8 +323,8 @@ private:
             gaps_[row] = std::max({reach, step.length, ALLOWANCE});
             if (step.length < GAP_SHARE * reach - ALLOWANCE) return true;
         }
-        return step.length > MAXIMUM_SPEED * seconds + ALLOWANCE ||
-               step.angle > MAXIMUM_TURN_RATE * seconds + ALLOWANCE;
+        return step.length > fastest_[0] * seconds + ALLOWANCE ||
+               step.angle > fastest_[1] * seconds + ALLOWANCE;
     }
 
     // Whether the robot is known not to have moved in the step that ends at a row.
@@ -337,7 +335,9 @@ private:
 
     Rest& rest_;
     bool is_planar_;
-    std::int64_t most_standing_, room_, &count_, &period_ns_, &standing_;
+    std::int64_t most_standing_;
+    const double* fastest_;
+    std::int64_t room_, &count_, &period_ns_, &standing_;
     std::int64_t* stamps_;
     double *rotations_, *translations_, *twists_;
     bool* jumps_;

@@ -15,8 +15,9 @@ from trigpoint.fusion.inbox import INPUT_TOPICS, Input
 from trigpoint.fusion.intake.admission import AHEAD_NS
 from trigpoint.fusion.map_storage import MapStorage, Stored
 from trigpoint.fusion.model.known_cameras import KnownCameras
-from trigpoint.fusion.model.odometry import MOST_STANDING, Readings
+from trigpoint.fusion.model.odometry import MOST_STANDING
 from trigpoint.fusion.model.past import Past
+from trigpoint.fusion.model.readings import Readings
 from trigpoint.geometry import Pose
 
 SITE = make_site()

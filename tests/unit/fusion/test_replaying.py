@@ -24,7 +24,7 @@ from trigpoint.fusion.live.solver_messages import (
     TakeObservation,
     TakeOdometry,
 )
-from trigpoint.fusion.model.odometry import Readings
+from trigpoint.fusion.model.readings import Readings
 from trigpoint.fusion.pipeline import Pipeline
 from trigpoint.fusion.replaying import Replay, replayed
 from trigpoint.tools.simulation.sight.targets import target_of

@@ -5,7 +5,8 @@ import pytest
 
 from trigpoint.base.clock import to_ns
 from trigpoint.fusion.model import odometry
-from trigpoint.fusion.model.odometry import MOST_STANDING, Added, OdometryTrack, Readings
+from trigpoint.fusion.model.odometry import MOST_STANDING, Added, OdometryTrack
+from trigpoint.fusion.model.readings import Readings
 from trigpoint.geometry import Pose
 from trigpoint.site.config import OdometryNoise
 

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from trigpoint.base.clock import to_ns
 from trigpoint.fusion.model.motion import Motion
-from trigpoint.fusion.model.odometry import MOST_STANDING, Added, OdometryTrack, Readings
+from trigpoint.fusion.model.odometry import MOST_STANDING, Added, OdometryTrack
+from trigpoint.fusion.model.readings import Readings
 from trigpoint.geometry import Pose
 from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
@@ -230,6 +231,17 @@ def test_jump_says_nothing_of_where_the_robot_is(landed: Pose) -> None:
     assert_same(motion.earlier_from_later[2], Pose.planar(0.02, 0.0, 0.0))
     across = track.motion(moments(0.5, 2.5), NO_SCALES)
     assert is_wide(across, 0)
+
+
+@pytest.mark.parametrize(
+    ("fastest", "outcome"), [((10.0, 6.0), Added.TAKEN), ((3.0, 6.0), Added.JUMP)]
+)
+def test_a_robot_may_drive_as_fast_as_its_site_file_says(
+    fastest: tuple[float, float], outcome: Added
+) -> None:
+    track = OdometryTrack(NOISE, planar=True, fastest=fastest)
+    track.add(0, Pose.identity())
+    assert track.add(to_ns(0.5), Pose.planar(4.0, 0.0, 0.0)) is outcome
 
 
 def is_wide(motion: Motion, row: int) -> bool:
