@@ -29,7 +29,7 @@ CHECKPOINT = "checkpoint.bin"
 PAST = "past.bin"
 """The name of the summary of what came before it (`past_file`)."""
 _FULL = re.compile(r"checkpoint-([0-9]{6})\.bin")
-_MAGIC = b"trigpoint-checkpoint/1\n"
+_MAGIC, _EARLIER = b"trigpoint-checkpoint/2\n", b"trigpoint-checkpoint/1\n"
 _HEAD = struct.Struct("<II")
 _FLUSH_NS = to_ns(0.5)
 _MOST_RECORD = 16 * 1024 * 1024
@@ -192,7 +192,7 @@ def _is_ours(path: Path) -> bool:
     same."""
     with path.open("rb") as file:
         head = file.read(len(_MAGIC))
-    return not head or head == _MAGIC or next(_records(path), None) is not None
+    return not head or head in (_MAGIC, _EARLIER) or next(_records(path), None) is not None
 
 
 class _Record(NamedTuple):
@@ -222,7 +222,7 @@ def _records(path: Path, until: int | None = None) -> Iterator[_Record]:
 
 
 def _sound(path: Path, data: mmap.mmap) -> Iterator[_Record]:
-    start = len(_MAGIC) if data[: len(_MAGIC)] == _MAGIC else 0
+    start = len(_MAGIC) if data[: len(_MAGIC)] in (_MAGIC, _EARLIER) else 0
     while start < len(data):
         record = _record_at(data, start)
         if record is None:

@@ -95,18 +95,19 @@ class MapStorage:
         """Why what comes now is not stored; "" while all is well."""
         return self._checkpoint.trouble
 
-    def read(self, most: int) -> Iterator[list[tuple[str, Stored]]]:
+    def read(self, most: int) -> Iterator[Iterator[tuple[str, Stored]]]:
         """(key, what is to be used) of what was stored before this process began, in order, of so
-        many messages at once. Raises OperationError where the checkpoint is another site's."""
+        many messages at once, which are decoded as they are used. Raises OperationError where the
+        checkpoint is another site's."""
         for path in [*self._full, self._path]:
             is_last = path == self._path
             messages = self._checkpoint.records() if is_last else read_checkpoint(path)
             while some := list(islice(messages, most)):
-                self._count += len(some) if is_last else 0
-                yield list(self._used(path, some))
+                yield self._used(path, some)
 
     def _used(self, path: Path, some: list[tuple[str, bytes]]) -> Iterator[tuple[str, Stored]]:
         """What is to be used of messages, in order; odometry of one robot as it came in a row."""
+        self._count += len(some) if path == self._path else 0
         odometry = {key: self._odometry_of(path, key, some) for key in {key for key, _ in some}}
         for key, run in groupby(some, itemgetter(0)):
             payloads = [payload for _, payload in run]

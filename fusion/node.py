@@ -116,7 +116,8 @@ class FusionNode:
         ):
             self._bus.serve(command_key(name, path), answer)
         self._node.work("estimates", self._run, within_s=_TURN_MOST_S)
-        self._node.work("keeps", lambda pulse: self._solution.run(pulse, self._node.stopping))
+        stopping = self._node.stopping
+        self._node.work("keeps", lambda p: self._solution.run(p, stopping), within_s=_TURN_MOST_S)
         if not self._maker.makes_solvers:  # a solver also makes the suggestions
             guide = GuidanceThread(self._bus, self._node, name, self._guidance_world)
             self._node.work("guides", guide.run, within_s=_GUIDE_S)

@@ -162,8 +162,7 @@ class Pipeline:
     def push(self, node: str, message: Message) -> bool:
         """Take a message of a camera or robot; one that is not in the site file is counted.
 
-        Returns whether it may add to the map: without the messages that do not, the map is the
-        same.
+        Returns whether it may add to the map, which is the same without the messages that do not.
         """
         self.arrivals.add(node, message)
         if isinstance(message, Odometry) and node in self.site.robots:

@@ -6,6 +6,7 @@ solved again, and where it does not fit what is there, corrections begin then.
 
 import hashlib
 import logging
+from collections import deque
 from pathlib import Path
 from threading import Event, Lock
 from typing import Any
@@ -61,32 +62,28 @@ class SolutionFile:
         self._path, self._inputs = folder / SOLUTION, _digest(inputs)
         self._creep = Creep.of_all(inputs.site.cameras)
         self._kept: Solution | None = None
-        self._lock, self._is_new = Lock(), Event()
-        self._unwritten: tuple[Solution, UUID | None] | None = None
+        self._lock = Lock()
+        self._unwritten = deque[tuple[Solution, UUID | None]](maxlen=1)
 
     def keep(self, pipeline: Pipeline) -> None:
         """Have the last solution written where it is a new one."""
         solution = pipeline.reports.solution
         if solution is not None and solution is not self._kept:
             self._kept = solution
-            self._unwritten = solution, pipeline.map_id
-            self._is_new.set()
+            self._unwritten.append((solution, pipeline.map_id))
 
     def run(self, pulse: Pulse, stopping: Event) -> None:
         """Write what is kept until a stop, on a thread of its own, and beat the pulse."""
-        while not stopping.is_set():
+        while not stopping.wait(_LOOK_S):
             pulse.beat()
-            if self._is_new.wait(_LOOK_S):
-                self.write()
+            self.write()
         self.write()
 
     def write(self) -> None:
         """Replace the file by what was kept last, where that is not done."""
         with self._lock:
-            self._is_new.clear()
-            unwritten, self._unwritten = self._unwritten, None
-            if unwritten is not None:
-                self._write(*unwritten)
+            while self._unwritten:
+                self._write(*self._unwritten.popleft())
 
     def _write(self, solution: Solution, map_id: UUID | None) -> None:
         document = self._document(solution, map_id)
@@ -106,7 +103,7 @@ class SolutionFile:
     def forget(self) -> None:
         """Remove the file: the map goes on otherwise than from it."""
         with self._lock:
-            self._unwritten = None
+            self._unwritten.clear()
             try:
                 self._path.unlink(missing_ok=True)
             except OSError as reason:

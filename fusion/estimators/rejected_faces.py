@@ -6,23 +6,27 @@ from collections.abc import Iterator
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import Observation, Verdict
 
-# So many are no accident: of a face, of all of a target; and of those that were seen.
-_LEAST_OF_FACE, _LEAST_OF_ALL = 3, 6
+# So many are no accident: of a face, of all of a target; and of those that were seen. What one
+# camera alone contradicts may be the camera's fault, or one bad passing's.
+_LEAST_OF_FACE, _LEAST_OF_ALL, _LEAST_CAMERAS = 3, 6, 2
 _MOST_OF_FACE, _MOST_OF_ALL = 3 / 4, 1 / 3
 _Faces = Counter[tuple[str, int]]
+_By = dict[tuple[str, int], set[str]]
+"""Robot and face -> the cameras that contradict it."""
 
 
 def rejected_faces(data: DataSet) -> tuple[str, ...]:
     """A line for each face that what else was seen contradicts, or one for a robot's target, where
     that holds for other faces too; of sightings whose camera is located and whose face the picture
     tells."""
-    seen, rejected = _Faces(), _Faces()
+    seen, rejected, by = _Faces(), _Faces(), _By()
     for entry in data.entries:
-        _count(entry.observation, seen, rejected)
-    return tuple(line for robot in data.site.robots for line in _lines(data, robot, seen, rejected))
+        _count(entry.observation, seen, rejected, by)
+    robots = data.site.robots
+    return tuple(line for robot in robots for line in _lines(data, robot, seen, rejected, by))
 
 
-def _count(observation: Observation, seen: _Faces, rejected: _Faces) -> None:
+def _count(observation: Observation, seen: _Faces, rejected: _Faces, by: _By) -> None:
     if observation.verdict is Verdict.PENDING or observation.is_repeat:
         return
     is_whole = observation.verdict is Verdict.REJECTED
@@ -33,15 +37,21 @@ def _count(observation: Observation, seen: _Faces, rejected: _Faces) -> None:
         key = (observation.robot, faces.pop())
         seen[key] += 1
         wild = observation.outliers[number] if observation.outliers else None
-        rejected[key] += is_whole or (wild is not None and bool(wild.all()))
+        if is_whole or (wild is not None and bool(wild.all())):
+            rejected[key] += 1
+            by.setdefault(key, set()).add(observation.camera)
 
 
-def _lines(data: DataSet, robot: str, seen: _Faces, rejected: _Faces) -> Iterator[str]:
+def _lines(data: DataSet, robot: str, seen: _Faces, rejected: _Faces, by: _By) -> Iterator[str]:
     mine = [key for key in seen if key[0] == robot]
+    if len(set[str]().union(*(by.get(key, ()) for key in mine))) < _LEAST_CAMERAS:
+        return
     wrong = [
         key
         for key in mine
-        if rejected[key] >= _LEAST_OF_FACE and rejected[key] > _MOST_OF_FACE * seen[key]
+        if rejected[key] >= _LEAST_OF_FACE
+        and rejected[key] > _MOST_OF_FACE * seen[key]
+        and len(by[key]) >= _LEAST_CAMERAS
     ]
     others = [key for key in mine if key not in wrong]
     count, bad = (sum(kind[key] for key in others) for kind in (seen, rejected))

@@ -23,8 +23,8 @@ OFFSET_SIGMAS = 3.0
 # No clock that was ever set shows a time before 1973: it counts from its own start.
 _NEVER_SET_NS = to_ns(1e8)
 
-# What lasts so much longer than the odometry beside it is not stamped in seconds.
-_LONGER = 50
+# Pictures of targets that come more rarely, on the whole, are not stamped in seconds.
+_LONGEST_PERIOD_S = 100.0
 
 
 class Span(Struct, frozen=True):
@@ -47,6 +47,11 @@ class Span(Struct, frozen=True):
     def counts_from_start(self) -> bool:
         """Whether it is by a simulator's clock, or by one that counts from when it was started."""
         return self.first_ns >= 0 and self.last_ns < _NEVER_SET_NS
+
+    @property
+    def period_s(self) -> float:
+        """From one to the next, in the mean."""
+        return to_seconds(self.last_ns - self.first_ns) / self.count
 
     def with_stamp(self, stamp_ns: int) -> "Span":
         first_ns, last_ns = min(self.first_ns, stamp_ns), max(self.last_ns, stamp_ns)
@@ -144,16 +149,15 @@ def _words(seen: Span, robot: str, odometry: Span) -> str:
     ]
     if odometry.first_ns == odometry.last_ns:
         why = "all of the odometry has one stamp; have its driver stamp every message anew"
-    elif seen.last_ns - seen.first_ns > _LONGER * (odometry.last_ns - odometry.first_ns):
-        why = (
-            f"by their stamps these pictures took {to_seconds(seen.last_ns - seen.first_ns):.0f} s "
-            f"and the odometry {to_seconds(odometry.last_ns - odometry.first_ns):.0f} s; are the "
-            "seconds in the camera's stamps milli- or nanoseconds?"
-        )
     elif len(by_start) == 1:
         why = (
             f"the clock of the {by_start[0]} counts from 0, as a simulator's does, or one that was "
             "never set; stamp both by one clock (`use_sim_time` for all nodes or for none)"
+        )
+    elif seen.period_s > _LONGEST_PERIOD_S:
+        why = (
+            f"by their stamps these pictures are {seen.period_s:.3g} s apart; are the seconds in "
+            "them milli- or nanoseconds?"
         )
     else:
         why = (

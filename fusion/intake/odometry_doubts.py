@@ -12,6 +12,7 @@ from msgspec import Struct
 from trigpoint.base.clock import to_ns, to_seconds
 from trigpoint.contract.messages import Odometry
 from trigpoint.fusion.model.odometry import OdometryTrack
+from trigpoint.geometry.samples import median
 from trigpoint.site.config import Site
 
 # The cosine of 30°: no floor on which a robot drives in the plane tilts it so.
@@ -20,20 +21,20 @@ _UPRIGHT = 0.87
 _LEAST = 10
 # Nobody drives by odometry that comes more rarely.
 _LONGEST_PERIOD_NS = to_ns(5.0)
-# Of the messages: odometry restarts, or is sent twice, now and then.
-_MOST_JUMPS, _MOST_STALE, _MOST_TILTED = 0.1, 0.5, 0.5
+# Of the messages: odometry restarts, or is sent twice, now and then; of two senders, half are
+# stale.
+_MOST_JUMPS, _MOST_STALE, _MOST_TILTED = 0.1, 0.4, 0.5
 # Of the way, as many of a robot that turns at a point that is not its middle.
 _MOST_SIDEWAYS = 0.3
-# Of an explanation: a robot is carried once or twice.
-_MOST_BREAKS = 2
+# Of an explanation: a robot is carried once or twice, and not every few minutes.
+_MOST_BREAKS, _CARRIED_NS = 2, to_ns(600.0)
 _CONVENTION = "x is forward and y left in metres, and headings turn to the left in radians"
 
 
 class _Came(Struct):
-    """How many messages of a robot came, from when to when, and how many of them were not newer
-    than one before, or turned out of the plane."""
+    """How many messages of a robot came, until when, and how many of them were not newer than one
+    before, or turned out of the plane."""
 
-    first_ns: int
     last_ns: int
     count: int = 0
     stale: int = 0
@@ -52,7 +53,7 @@ class OdometryDoubts:
         stamp_ns = message.stamp_ns
         came = self._came.get(robot)
         if came is None:
-            came = self._came[robot] = _Came(stamp_ns, stamp_ns - 1)
+            came = self._came[robot] = _Came(stamp_ns - 1)
         came.count += 1
         came.stale += stamp_ns <= came.last_ns
         came.last_ns = max(came.last_ns, stamp_ns)
@@ -70,18 +71,16 @@ class OdometryDoubts:
 
     def _in_messages(self, robot: str, came: _Came) -> Iterator[str]:
         count, of_all = came.count, f"of {came.count} odometry messages"
-        fresh = count - came.stale
         if came.stale > _MOST_STALE * count:
             yield (
                 f"{came.stale} {of_all} are stamped no later than one before, and not used; do "
                 "their stamps lack the nanoseconds, or do two send them?"
             )
-        if (seconds := to_seconds(came.last_ns - came.first_ns)) > fresh * to_seconds(
-            _LONGEST_PERIOD_NS
-        ):
+        stamps_ns = self._tracks[robot].stamps_ns
+        if len(stamps_ns) > 1 and (period := median(np.diff(stamps_ns))) > _LONGEST_PERIOD_NS:
             yield (
-                f"its {count} odometry messages are {seconds / fresh:.3g} s apart by their stamps; "
-                "are the seconds in them milli- or nanoseconds?"
+                f"its {count} odometry messages are {to_seconds(period):.3g} s apart by their "
+                "stamps; are the seconds in them milli- or nanoseconds?"
             )
         if self._site.robots[robot].planar and came.tilted > _MOST_TILTED * count:
             yield (
@@ -92,18 +91,22 @@ class OdometryDoubts:
 
 
 def _in_track(track: OdometryTrack) -> Iterator[str]:
-    if (count := track.jump_count) > _MOST_JUMPS * len(track):
+    if (count := track.leap_count) > _MOST_JUMPS * len(track):
         yield (
-            f"{count} of {len(track)} odometry messages lie farther from the one before than any "
-            "robot drives; are its lengths in metres, and its stamps right?"
+            f"{count} of {len(track)} odometry messages lie, or turn, farther from the one before "
+            "than any robot does; are its lengths in metres, its headings in radians, and its "
+            "stamps right?"
         )
     along, across = track.way
-    if across > _MOST_SIDEWAYS * np.hypot(along, across):
+    can_shift = track.noise.lateral >= track.noise.distance
+    if not can_shift and across > _MOST_SIDEWAYS * np.hypot(along, across):
         yield (
-            f"by its odometry it drove {across:.1f} m sideways and {along:.1f} m along; where it "
-            f"cannot do so, its axes, or the unit or sign of its heading, are wrong: {_CONVENTION}"
+            f"by its odometry it drove {across:.1f} m sideways and {along:.1f} m along; its axes, "
+            f"or the unit or sign of its heading, are wrong: {_CONVENTION} (a robot that can drive "
+            "so has odometry.lateral no smaller than odometry.distance in the site file)"
         )
-    if (breaks := track.break_count) > _MOST_BREAKS:
+    most = max(_MOST_BREAKS, (track.last_ns - track.first_ns) // _CARRIED_NS) if len(track) else 0
+    if (breaks := track.break_count) > most:
         yield (
             f"its odometry and what cameras saw agree only if it was carried {breaks} times; if "
             f"nobody did, its odometry is wrong ({_CONVENTION}), or its target file (the faces' "

@@ -292,9 +292,10 @@ class RobotIdentification:
         found, unclear = list[Observation](), list[Picture]()
         for robot, (_, shown, is_clear) in known.items():
             others = [fit for name, (fit, _, _) in known.items() if name != robot]
-            own, doubtful = split(camera, robot, _alone_in(shown, others), shown)
-            found += own if is_clear else []
-            unclear += doubtful if is_clear else shown
+            alone = _alone_in(shown, others) if is_clear else {}
+            own, doubtful = split(camera, robot, alone, shown)
+            found += own
+            unclear += doubtful
         return found, unclear, rest
 
     def _best(self, camera: str, visit: list[Picture]) -> tuple[str, dict[str, RobotFit]] | None:

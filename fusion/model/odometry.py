@@ -2,7 +2,8 @@
 
 The noise is the contract's random walk (`trigpoint.contract.odometry_noise`). Between two messages
 the robot is taken to move with a constant twist, so a fraction of an increment has that fraction of
-the increment's twist and of its variance. The core composes the motion (`odometry.cpp`).
+the increment's twist and of its variance. The core takes messages in (`rest.cpp`, which has
+LONGEST_GAP_S as GAP_NS) and composes the motion (`odometry.cpp`).
 """
 
 import bisect
@@ -39,6 +40,8 @@ SPATIAL = [0, 1, 2, 3, 4, 5]
 # No robot exceeds these, m/s and rad/s, unless its site file says more: a larger step means that
 # its counters restarted or that it was carried, and says nothing about where it is.
 _FASTEST = 5.0, 20.0
+# A robot that moves less in a second stands, or turns.
+_LEAST_WAY_M = 0.1
 # Over a longer gap in its odometry a robot is not taken to drive straight between the ends.
 LONGEST_GAP_S = 1.0
 # This many messages of a standstill are kept individually (20 s at 50 Hz); later ones are merged
@@ -120,9 +123,11 @@ class OdometryTrack:
         return self._stamps.item(self._count - 1)
 
     @property
-    def jump_count(self) -> int:
-        """How many messages odometry itself shows to jump, or to come after a gap."""
-        return int(np.count_nonzero(self._jumps[: self._count])) - len(self._broken_rows)
+    def leap_count(self) -> int:
+        """How many messages lie, or turn, farther from the one before than any robot does."""
+        leaps = self._jumps[: self._count] & (self._gaps[: self._count] == 0)
+        leaps[self._broken_rows] = False
+        return int(np.count_nonzero(leaps))
 
     @property
     def break_count(self) -> int:
@@ -131,8 +136,14 @@ class OdometryTrack:
 
     @property
     def way(self) -> tuple[float, float]:
-        """How far it drove along its own x, and across, metres."""
-        along, across = np.abs(self._twists[: self._count, :2]).sum(axis=0).tolist()
+        """How far the robot drove along and across its axis, m: second by second, in which noise
+        cancels, and of no second in which it hardly moved."""
+        if not self._count:
+            return 0.0, 0.0
+        seconds = (self.stamps_ns - self.first_ns) // to_ns(1.0)
+        starts = np.flatnonzero(np.diff(seconds, prepend=-1))
+        led = np.abs(np.add.reduceat(self._twists[: self._count, :2], starts))
+        along, across = led[led.max(axis=1) > _LEAST_WAY_M].sum(axis=0).tolist()
         return along, across
 
     def covers(self, stamp_ns: int) -> bool:

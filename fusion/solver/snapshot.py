@@ -117,4 +117,5 @@ def _views(problem: Problem, state: State, camera: str) -> CameraViews:
     places = [state.robots[b.robot].map_from_base.translation[b.nodes] for b in mine]
     # 1/sigma of the used corners, their observations' shares taken out.
     weights = [(b.weights / np.sqrt(b.shares)[:, None])[b.weights > 0] for b in mine]
-    return CameraViews(np.concatenate(places), 1 / median(np.concatenate(weights)))
+    used = np.concatenate(weights)
+    return CameraViews(np.concatenate(places), 1 / median(used) if len(used) else 1.0)

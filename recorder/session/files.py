@@ -110,7 +110,7 @@ def parts_of(path: Path, *, takes_several: bool = False) -> list[Path]:
     files = files or sorted(file for file in path.iterdir() if file.is_file() and is_bag(file))
     if not files:
         raise RecordingError(f"{path}: there is no .mcap file in this folder; check the path")
-    if len(files) > 1 and not takes_several:
+    if sum(map(_has_something, files)) > 1 and not takes_several:
         names = ", ".join(file.name for file in files)
         raise RecordingError(
             f"{path}: several sessions in this folder ({names}); name one, or "

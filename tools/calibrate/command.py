@@ -119,7 +119,7 @@ def _check_used(results: Results, doubts: Sequence[str]) -> None:
         others = f" (and {counted(len(more), 'other camera')} likewise)" if more else ""
         raise OperationError(f"no camera could be located; {name}{others} is unseen: {why}")
     if doubts and not results.network.located:
-        raise OperationError(f"no camera could be located; {'; '.join(doubts)}")
+        raise OperationError("no camera could be located; the notes above say what may be why")
 
 
 def _say_alignment(alignment: Alignment) -> None:

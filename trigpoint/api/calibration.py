@@ -69,6 +69,6 @@ def calibrate(
         ),
         residuals=pipeline.residuals(),
         left_out=pipeline.messages_left_out,
-        notes=(*found.unsound(), *pipeline.notes, *results.noise),
+        notes=(*found.unsound(), *pipeline.notes, *results.doubts, *results.noise),
         _results=results,
     )

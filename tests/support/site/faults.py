@@ -7,6 +7,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable
+from itertools import islice
 from signal import SIGSTOP
 
 import numpy as np
@@ -18,6 +19,7 @@ from trigpoint.bus.bus import Bus, Publisher
 from trigpoint.contract import cdr, topics
 from trigpoint.contract.messages import FaceSighting, Odometry, Sightings
 from trigpoint.contract.topics import Topic, command_key
+from trigpoint.fusion.checkpoint import _records  # pyright: ignore[reportPrivateUsage]
 from trigpoint.geometry import Pose
 
 MORE = """
@@ -220,23 +222,19 @@ class Watchman:
         self._thread.join()
 
 
-def flip_bit_of_odometry(field: Field) -> None:
-    """Damage one record of the checkpoint near its start; not the first one, which is where the
-    map begins."""
+def flip_bit(field: Field) -> None:
+    """Damage a record of the checkpoint near its start; not the first one, which is where the map
+    begins."""
     path = field.out / "checkpoint.bin"
-    data = bytearray(path.read_bytes())
-    key = b"lab/robot/r1/odom"
-    at = -1
-    for _ in range(5):
-        at = data.index(key, at + 1)
-    data[at + len(key) + 20] ^= 1
+    data, (_, second) = bytearray(path.read_bytes()), tuple(islice(_records(path), 2))
+    data[(second.start + second.end) // 2] ^= 1
     path.write_bytes(bytes(data))
 
 
 def kill_and_restart(fusion: Program, field: Field, start: Callable[[], Program]) -> Program:
     """SIGKILL, a flipped bit, and started again."""
     fusion.kill()
-    flip_bit_of_odometry(field)
+    flip_bit(field)
     again = start()
     assert eventually(lambda: "runs on site" in again.said, 60.0), again.said
     return again

@@ -14,17 +14,24 @@ from trigpoint.fusion.model.observations import Observation, Reading, Verdict, V
 PIXELS = np.zeros((4, 2))
 
 
-def seen(face: int, verdict: Verdict, *, is_alike: bool = False) -> Any:
+def seen(face: int, verdict: Verdict, camera: str, *, is_alike: bool = False) -> Any:
     readings = (Reading(face), *([Reading(face + 1)] if is_alike else []))
     view = View(np.arange(4), PIXELS, 0.1, readings)
-    observation = Observation("c1", "r1", 1, (view,), None, verdict, (np.zeros(4, bool),))
+    observation = Observation(camera, "r1", 1, (view,), None, verdict, (np.zeros(4, bool),))
     return SimpleNamespace(observation=observation)
 
 
-def said(counts: dict[int, tuple[int, int]], *, is_alike: bool = False) -> tuple[str, ...]:
-    """Of faces that were seen so often, and rejected so often."""
+def said(
+    counts: dict[int, tuple[int, int]], *, cameras: int = 2, is_alike: bool = False
+) -> tuple[str, ...]:
+    """Of faces that were seen so often, and rejected so often, by so many cameras in turn."""
     entries = [
-        seen(face, Verdict.REJECTED if number < bad else Verdict.ACCEPTED, is_alike=is_alike)
+        seen(
+            face,
+            Verdict.REJECTED if number < bad else Verdict.ACCEPTED,
+            f"c{number % cameras}",
+            is_alike=is_alike,
+        )
         for face, (count, bad) in counts.items()
         for number in range(count)
     ]
@@ -60,3 +67,13 @@ def test_wrong_sightings_alone_are_nothing_to_tell(counts: dict[int, tuple[int, 
 
 def test_faces_that_look_alike_are_not_told_apart_by_guess() -> None:
     assert said({0: (20, 20), 2: (20, 0)}, is_alike=True) == ()
+
+
+@pytest.mark.parametrize(
+    "bad", [{0: (15, 15), 1: (80, 3)}, {0: (39, 36), 1: (79, 40), 2: (120, 50)}]
+)
+def test_what_one_camera_contradicts_says_nothing_of_the_target(
+    bad: dict[int, tuple[int, int]],
+) -> None:
+    assert said(bad, cameras=1) == ()
+    assert said(bad)

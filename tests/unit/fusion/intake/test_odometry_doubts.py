@@ -70,14 +70,24 @@ WRONG: dict[str, tuple[Change, str]] = {
 }
 
 
-def said(change: Change, *, speed: float, rate: float, turn: float, noise: float = 0.0) -> str:
-    """Of a drive of half a minute along an eight, changed."""
+def said(
+    change: Change,
+    *,
+    speed: float,
+    rate: float,
+    turn: float,
+    noise: float = 0.0,
+    shake_m: float = 0.0,
+) -> str:
+    """Of a drive of half a minute along an eight, changed. `shake_m`: noise of each place alone."""
     site, random = make_site(), np.random.default_rng(0)
     tracks = {"r1": OdometryTrack(site.robots["r1"].odometry, planar=True)}
     doubts = OdometryDoubts(site, tracks)
     pose, count = Pose.identity(), int(30 * rate)
     for number in range(count):
-        message = change(Odometry(BEGIN_NS + to_ns(number / rate), "r1/odom", "r1/base", pose))
+        shaken = pose.translation + shake_m * random.normal(size=3) * [1, 1, 0]
+        here = Pose(pose.rotation, shaken)
+        message = change(Odometry(BEGIN_NS + to_ns(number / rate), "r1/odom", "r1/base", here))
         doubts.add("r1", message)
         tracks["r1"].add(message.stamp_ns, message.pose)
         angle = (turn if number < count / 2 else -turn) / rate + noise * random.normal()
@@ -98,8 +108,35 @@ def test_what_is_odd_is_said(kind: str, turn: float, data: st.DataObject) -> Non
     assert words in said(change, turn=turn, **drive)
 
 
-@settings(max_examples=20, deadline=None)
-@given(st.floats(-1.2, 1.2), st.floats(0, 2e-3), st.data())
-def test_of_sound_odometry_nothing_is_said(turn: float, noise: float, data: st.DataObject) -> None:
-    drive = {key: data.draw(values, key) for key, values in DRIVES.items()}
-    assert said(lambda message: message, turn=turn, noise=noise, **drive) == ""
+@settings(max_examples=40, deadline=None)
+@given(
+    st.just(0.0) | st.floats(0, 1.5),
+    st.floats(-1.2, 1.2),
+    st.floats(0, 2e-3),
+    st.floats(0, 2e-3),
+    st.data(),
+)
+def test_of_sound_odometry_nothing_is_said(
+    speed: float, turn: float, noise: float, shake_m: float, data: st.DataObject
+) -> None:
+    """Also of a robot that stands or turns on the spot."""
+    rate = data.draw(DRIVES["rate"], "rate")
+    drive = {"speed": speed, "rate": rate, "turn": turn, "noise": noise, "shake_m": shake_m}
+    assert said(lambda message: message, **drive) == ""
+
+
+def first_unset(message: Odometry) -> Odometry:
+    """The clock was set after the first message."""
+    return replace(message, stamp_ns=0) if message.stamp_ns == BEGIN_NS else message
+
+
+def resting(message: Odometry) -> Odometry:
+    """Nothing comes for two minutes now and then, in which it stands."""
+    passed_s = (message.stamp_ns - BEGIN_NS) // 10**9
+    return replace(message, stamp_ns=message.stamp_ns + to_ns(120.0) * (passed_s // 5))
+
+
+@pytest.mark.parametrize("change", [first_unset, resting])
+def test_stamps_that_are_seldom_far_apart_are_sound(change: Change) -> None:
+    assert said(change, speed=0.0, rate=5.0, turn=0.0) == ""
+    assert "milli" not in said(change, speed=0.4, rate=5.0, turn=0.3)
