@@ -223,11 +223,16 @@ class Watchman:
 
 
 def flip_bit(field: Field) -> None:
-    """Damage a record of the checkpoint near its start; not the first one, which is where the map
+    """Damage a record of odometry in the checkpoint; not the first one, which is where the map
     begins."""
     path = field.out / "checkpoint.bin"
-    data, (_, second) = bytearray(path.read_bytes()), tuple(islice(_records(path), 2))
-    data[(second.start + second.end) // 2] ^= 1
+    data = bytearray(path.read_bytes())
+    record = next(
+        each
+        for each in islice(_records(path), 1, None)
+        if all(key.endswith("/odom") for key, _ in each.messages)
+    )
+    data[(record.start + record.end) // 2] ^= 1
     path.write_bytes(bytes(data))
 
 
