@@ -21,8 +21,8 @@ class Replay:
 
     def take(self, node: str, message: Message | Readings) -> None:
         """Take the next message of a camera or robot, or some of a robot's odometry."""
-        is_odometry = isinstance(message, Odometry) and node in self._pipeline.site.robots
-        if is_odometry and not self._has_work(node):
+        is_put_off = node in self._pipeline.site.robots and not self._has_work(node)
+        if isinstance(message, Odometry) and is_put_off:
             self._put_off.setdefault(node, []).append(message)
             return
         self.flush()
