@@ -75,14 +75,24 @@ class OtherSize(Struct, frozen=True):
         return abs(seen - known) <= _MARKER_SHARE * known
 
     @property
+    def differences(self) -> int:
+        """In how many things the look differs."""
+        return len(self._words()) + self.reading.is_mirrored
+
+    def _words(self) -> list[str]:
+        """What differs from the look, as the target file has it."""
+        size = [f"columns = {self.face.columns}", f"rows = {self.face.rows} or more"]
+        told = self.look.face
+        return [*([] if self._is_as_large(told) else size), *self._changes(told)]
+
+    @property
     def remedy(self) -> str:
         """What is seen, and what to do, in one line."""
-        size = [f"columns = {self.face.columns}", f"rows = {self.face.rows} or more"]
-        told, is_mirrored = self.look.face, self.reading.is_mirrored
-        words = ", ".join([*([] if self._is_as_large(told) else size), *self._changes(told)])
+        is_mirrored = self.reading.is_mirrored
         seen, steps = ("a mirrored board", f"{UNMIRROR}, and ") if is_mirrored else ("a board", "")
         return (
-            f"{self.look.words}: the pictures show {seen} with {words}, so it is not used; "
+            f"{self.look.words}: the pictures show {seen} with {', '.join(self._words())}, so it "
+            "is not used; "
             f"{steps}compare the target file with the print"
         )
 
