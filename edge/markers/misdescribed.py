@@ -58,6 +58,7 @@ class MisdescribedBoards:
     def __init__(self, looks: Sequence[Appearance], faces: Sequence[Face]) -> None:
         """`faces`: all of the site, of which none is another board."""
         self._waiting, self._faces = list(readings(looks)), faces
+        self._firsts = sorted({face.first_marker for face in faces})
         self._ids = max([_MOST_IDS, *(face.first_marker + face.marker_count for face in faces)])
         # Another board than the file's may have squares between its tags.
         self._finder = QuadFinder(parts_touching=True)
@@ -104,7 +105,7 @@ class MisdescribedBoards:
         those that people mean before those of any other size."""
         known, best = scene.best(reading)
         read = scene.all_markers(reading)
-        size = other_size(reading, read, scene.is_over)
+        size = other_size(reading, read, self._firsts, scene.is_over)
         if size and not any(map(size.is_as, self._faces)):
             count = scene.sure(size, read)
             if count > known and count >= _fewest(size.face):

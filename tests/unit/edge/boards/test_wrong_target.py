@@ -134,6 +134,16 @@ def test_board_of_the_sites_other_pattern_is_no_misdescribed_one() -> None:
     assert detector.misdescribed == ()
 
 
+@pytest.mark.parametrize("hidden", [0, 1, 2])
+def test_rows_of_the_sites_other_pattern_may_be_hidden(hidden: int) -> None:
+    board = charuco(5, 7, first=30)
+    uppermost = replace(KALIBR, id=1, rows=5 - hidden, first_marker=6 * hidden)
+    detector = detector_for([target_of(board, replace(KALIBR, id=1))])
+    for picture in shots(uppermost, np.random.default_rng(2), 2):
+        assert detector.detect(picture)
+    assert detector.misdescribed == ()
+
+
 def test_markers_that_chance_reads_at_an_edge_are_no_board_where_the_board_goes_on() -> None:
     true = Face(0, Pattern.CHARUCO, 7, 5, 0.04, *NOWHERE, marker=0.03, dictionary="DICT_5X5_100")
     described = replace(true, columns=5, rows=7, dictionary="DICT_4X4_50")
