@@ -1,7 +1,7 @@
 """Finds checkerboards: X corners, joined into grids, matched to the boards' extents.
 
 Our own search, since OpenCV's finders take 50 to 180 ms where no board is in view and have run for
-minutes on near-black pictures. A grid is grown and judged by its neighbourhoods (`grid_growth`),
+minutes on near-black pictures. A grid is grown and judged by its neighbourhoods (`grid`),
 the board's place on it by the corners it shows (`placement`), and whether a board is there by its
 squares (`evidence`): nothing assumes a lens, or flat paper.
 """

@@ -37,35 +37,46 @@ _LEAST_NATS = log(1_000 * 10 * 300 * 200)
 # Of a board's markers in view, how many must be read: more are on the board that it is, where some
 # are hidden, than on one that shares a row with it.
 _LEAST_SHARE = 0.6
-# With time, every other board is looked for in each of the first pictures; live, a part of them in
-# each of the first ten, which is all of them. Then two in every fifth, since most cameras see no
-# board most of the time.
+# With time, every other board is looked for in each of the first pictures; live, a tenth of them in
+# each of the first ten, fewer where the time or `_MOST_READ` ends it: the others come later. Then
+# two in every fifth, since most cameras see no board most of the time.
 _AT_ONCE, _FIRST, _A_PICTURE, _EVERY = 3, 10, 2, 5
 # So many readings of quadrilaterals a picture gets, then the next one goes on: all boards together
 # ask for 2000 to 4000 in most real pictures, for 15,000 in the busiest.
 _MOST_READ = 10_000
-# So often a board is contradicted that is none of the others, before that is said.
+# So often a board is contradicted that is none of the others, before that is said; all others must
+# have been looked for.
 _OFTEN = 3
 # Boards have the first of a dictionary's markers, hardly more of them.
 _MOST_IDS = 250
 
 
 class MisdescribedBoards:
-    """What pictures show of other boards in place of `looks`. `lines`: what to write, by look;
-    `refused`: those that the pictures disprove, which no later picture can mend."""
+    """What pictures show of other boards in place of `looks`. `refused`: looks that the pictures
+    disprove, which no later picture can mend."""
 
     def __init__(self, looks: Sequence[Appearance], faces: Sequence[Face]) -> None:
         """`faces`: all of the site, of which none is another board."""
         self._waiting, self._faces = list(readings(looks)), faces
+        self._firsts = sorted({face.first_marker for face in faces})
         self._ids = max([_MOST_IDS, *(face.first_marker + face.marker_count for face in faces)])
         # Another board than the file's may have squares between its tags.
         self._finder = QuadFinder(parts_touching=True)
-        self._pictures = 0
+        self._pictures, self._untried = 0, len(self._waiting)
         self._named: dict[Appearance, Other | OtherSize] = {}
         self._confirmed = set[Appearance]()
         self._denials: dict[Appearance, int] = {}
-        self.lines: dict[Appearance, str] = {}
+        self._vague: dict[Appearance, str] = {}
         self.refused: set[Appearance] = set()
+
+    @property
+    def lines(self) -> dict[Appearance, str]:
+        """What to write, by look; a board that several looks are not is said of the one that it
+        differs from in fewest keys."""
+        said: dict[object, Other | OtherSize] = {}
+        for shown in sorted(self._named.values(), key=lambda shown: shown.differences):
+            said.setdefault(shown.face.appearance, shown)
+        return self._vague | {shown.look: shown.remedy for shown in said.values()}
 
     def look(self, grey: np.ndarray, denied: set[Appearance], is_over: IsOver = never) -> None:
         """Look for other boards in a picture in which none was found, or which contradicts those
@@ -82,12 +93,10 @@ class MisdescribedBoards:
             tried.append(one)
             shown = None if one.look in self._named else self._shown(one, scene)
             if shown and not (isinstance(shown, OtherSize) and one.look in self._confirmed):
-                board = shown.face.appearance
-                if all(board != named.face.appearance for named in self._named.values()):
-                    self.lines[one.look] = shown.remedy  # once for all faces that it is not
                 self._named[one.look] = shown
         left = [one for one in tried if one.look not in self._named]
         self._waiting = self._waiting[len(tried) :] + left
+        self._untried -= len(tried)
         for look in denied:
             self._deny(look)
 
@@ -96,7 +105,7 @@ class MisdescribedBoards:
         those that people mean before those of any other size."""
         known, best = scene.best(reading)
         read = scene.all_markers(reading)
-        size = other_size(reading, read, scene.is_over)
+        size = other_size(reading, read, self._firsts, scene.is_over)
         if size and not any(map(size.is_as, self._faces)):
             count = scene.sure(size, read)
             if count > known and count >= _fewest(size.face):
@@ -108,7 +117,6 @@ class MisdescribedBoards:
         self._confirmed.add(look)
         if isinstance(self._named.get(look), OtherSize):
             del self._named[look]
-            self.lines.pop(look, None)
 
     def _share(self, count: int) -> int:
         """How many of so many boards are looked for in this picture."""
@@ -120,8 +128,8 @@ class MisdescribedBoards:
         self._denials[look] = self._denials.get(look, 0) + 1
         if isinstance(self._named.get(look), Other):
             self.refused.add(look)
-        elif look not in self._named and self._denials[look] == _OFTEN:
-            self.lines[look] = (
+        elif look not in self._named and self._denials[look] >= _OFTEN and self._untried <= 0:
+            self._vague[look] = (
                 f"{look.words}: its markers are seen in other places than the target file has, so "
                 "it is not used; compare columns, rows, first_marker and numbering with the print"
             )

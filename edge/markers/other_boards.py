@@ -24,6 +24,11 @@ class Other(Struct, frozen=True):
     is_mirrored: bool = False
 
     @property
+    def differences(self) -> int:
+        """In how many things the look differs."""
+        return len(self.change) + self.is_mirrored
+
+    @property
     def remedy(self) -> str:
         """What is seen, and what to write, in one line."""
         written = " and ".join(f"{key} = {toml(value)}" for key, value in self.change)

@@ -4,7 +4,7 @@ markers, pattern, and all that at once.
 The markers in view vote: of all boards that have them, the one on whose plane most of them lie.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import cv2
 import numpy as np
@@ -75,29 +75,41 @@ class OtherSize(Struct, frozen=True):
         return abs(seen - known) <= _MARKER_SHARE * known
 
     @property
+    def differences(self) -> int:
+        """In how many things the look differs."""
+        return len(self._words()) + self.reading.is_mirrored
+
+    def _words(self) -> list[str]:
+        """What differs from the look, as the target file has it."""
+        size = [f"columns = {self.face.columns}", f"rows = {self.face.rows} or more"]
+        told = self.look.face
+        return [*([] if self._is_as_large(told) else size), *self._changes(told)]
+
+    @property
     def remedy(self) -> str:
         """What is seen, and what to do, in one line."""
-        size = [f"columns = {self.face.columns}", f"rows = {self.face.rows} or more"]
-        told, is_mirrored = self.look.face, self.reading.is_mirrored
-        words = ", ".join([*([] if self._is_as_large(told) else size), *self._changes(told)])
+        is_mirrored = self.reading.is_mirrored
         seen, steps = ("a mirrored board", f"{UNMIRROR}, and ") if is_mirrored else ("a board", "")
         return (
-            f"{self.look.words}: the pictures show {seen} with {words}, so it is not used; "
+            f"{self.look.words}: the pictures show {seen} with {', '.join(self._words())}, so it "
+            "is not used; "
             f"{steps}compare the target file with the print"
         )
 
 
-def other_size(reading: Reading, read: Markers, is_over: IsOver = never) -> OtherSize | None:
+def other_size(
+    reading: Reading, read: Markers, told: Sequence[int] = (), is_over: IsOver = never
+) -> OtherSize | None:
     """What most of the markers that were `read`, each once and by its id, the surest first, agree
     on, the file's own numbers before others; None where too few agree, or as many on boards of
-    other widths, or the time is over."""
+    other widths, or the time is over. `told`: the first markers of the site's faces."""
     if len(read) < LEAST_VOTES:
         return None
     own = _voted(reading, reading.face, read)
     if own and len(own.which) == len(read):
         return own
     few, voted = read.first(MOST_VOTERS), list[tuple[Face, OtherSize]]()
-    for face in (reading.face, *_faces(reading.face, read.numbers)):
+    for face in (reading.face, *_faces(reading.face, read.numbers, told)):
         if is_over():
             return None
         if each := _voted(reading, face, few):
@@ -131,9 +143,15 @@ def layout_of(face: Face) -> Array:
     return face.corners[:, :2].reshape(-1, 4, 2)
 
 
-def _faces(face: Face, ids: np.ndarray) -> Iterator[Face]:
-    """Boards of every width, with the rows that the markers `ids` need."""
-    for first in dict.fromkeys((face.first_marker, int(ids.min()))):
+def _faces(face: Face, ids: np.ndarray, told: Sequence[int]) -> Iterator[Face]:
+    """Boards of every width, with the rows that the markers `ids` need.
+
+    They begin as the face, as the one of the site (`told`) that the least id may be of, whose first
+    row may be hidden, or with that id.
+    """
+    least = int(ids.min())
+    begins = [first for first in told if first <= least]
+    for first in dict.fromkeys((face.first_marker, max(begins, default=least), least)):
         for other in _ways(face):
             for columns in range(2, _MOST + 1):
                 changed = replace(other, columns=columns, first_marker=first)

@@ -14,7 +14,7 @@ from trigpoint.base.words import numberless
 from trigpoint.recorder.mcap.check import check as check_file
 from trigpoint.recorder.mcap.index import read_index
 
-from .files import faults, parts_of, session_files, spans
+from .files import faults, parts_of, spans
 from .info import KeyInfo, info_json, info_lines, session_info
 from .recording import Recording, open_recording
 from .recover import recover as save_sound
@@ -93,11 +93,12 @@ def check(session: Session) -> None:
 
     Ends with status 1 where it is not.
     """
-    lacking = faults(parts_of(session))
+    parts = parts_of(session)
+    lacking = faults(parts)
     for file, fault in lacking.items():
         typer.echo(f"{file}: error: {fault}")
     is_sound = not lacking
-    files = session_files(session)
+    files = [file for file in parts if file not in lacking]
     for file in files:
         verdict = check_file(file)
         is_sound = is_sound and verdict.is_sound
@@ -111,7 +112,7 @@ def check(session: Session) -> None:
         if verdict.is_sound:
             typer.echo(f"{file}: sound")
     if not is_sound:
-        some = Recording([read_index(file) for file in files]).counts
+        some = files and Recording([read_index(file) for file in files]).counts
         kept = "`trigpoint recover` saves what is sound of a damaged recording"
         typer.echo(kept if some else "no message in it is whole; copy or record it anew", err=True)
         raise typer.Exit(1)

@@ -256,6 +256,11 @@ def test_lens_of_any_dialect_is_the_same_lens(write, key, model, focal, coeffici
             '"d": [0, 0, 0, 0, 0, 0, 0, 0, 1]}',
             "thin prism",
         ),
+        (
+            '{"K": [500, 0, 319, 0, 500, 239, 0, 0, 1], "w": 640, "h": 480, "model": "fisheye"}',
+            "with 4 zeros",
+        ),
+        ('{"K": [500, 0, 319, 0, 500, 239, 0, 0, 1], "w": 640, "h": 480}', "with 5 zeros"),
     ],
 )
 def test_what_our_lenses_cannot_say_is_named(text: str, said: str) -> None:

@@ -4,28 +4,34 @@ from collections import Counter
 from collections.abc import Sequence
 from itertools import islice
 
-from trigpoint.edge.boards.grid import GridSearch
+from trigpoint.edge.boards.grid import LEAST_CORNERS, Grid, GridSearch
 
 from .detect import Given, stills
 
-# So many pictures are looked at again, and so many of them show a board that is there: a hand or
-# the picture's edge leaves another part of it each time.
-_LOOKED_AT, _LEAST = 10, 3
-# Fewer corners than of a board of 4 × 4 squares are any window's.
-_LEAST_CORNERS = 9
+# So many pictures are looked at again; so many, and most of those with any squares, show a board
+# that is there: a hand, or what stands before it, leaves another part of it each time.
+_LOOKED_AT, _LEAST, _MOST_SHARE = 10, 3, 0.7
 
 
 def squares_seen(given: Sequence[Given], topics: Sequence[str] = ()) -> str:
     """The board of black and white squares that several of the first pictures show whole, in
     words; "" where there is none."""
-    search, seen = GridSearch(), Counter[tuple[int, int]]()
+    search, seen = GridSearch(), list[tuple[int, int] | None]()
     for still in islice(stills(given, topics), _LOOKED_AT):
         search.take(still.picture)
-        for grid in search.grids(1):
-            width, height = grid.cleaned().extent
-            if len(grid) == width * height >= _LEAST_CORNERS:
-                seen[max(width, height) + 1, min(width, height) + 1] += 1
-    (columns, rows), count = seen.most_common(1)[0] if seen else ((0, 0), 0)
-    if count < _LEAST:
+        seen += [_size(grid.cleaned()) for grid in search.grids(1)]
+    whole = Counter(size for size in seen if size)
+    if not whole:
+        return ""
+    (columns, rows), count = whole.most_common(1)[0]
+    if count < max(_LEAST, _MOST_SHARE * len(seen)):
         return ""
     return f"{count} of the first pictures show a board of {columns} × {rows} squares"
+
+
+def _size(grid: Grid) -> tuple[int, int] | None:
+    """Columns and rows of squares, the larger first, of a grid without gaps; else None."""
+    width, height = grid.extent
+    if not len(grid) == width * height >= LEAST_CORNERS:
+        return None
+    return max(width, height) + 1, min(width, height) + 1

@@ -43,11 +43,16 @@ def parse_roles(texts: Sequence[str]) -> list[Role]:
     for role in roles:
         names = [other.name for other in roles if other.topic == role.topic]
         if len(names) > 1:
-            raise InputError(
-                f"--topic: {role.topic} is given {len(names)} times, as {' and '.join(names)}; "
-                "each topic is one camera's or robot's"
-            )
+            raise InputError(f"--topic: {role.topic} is given {_times(names)}")
     return roles
+
+
+def _times(names: Sequence[str]) -> str:
+    """How often a topic is given, and what to do; `names`: whose it is, each time."""
+    count = "twice" if len(names) == 2 else f"{len(names)} times"
+    if len(set(names)) == 1:
+        return f"{count} for {names[0]}; once is enough"
+    return f"{count}, as {' and '.join(names)}; each topic is one camera's or robot's"
 
 
 def bag_messages(path: Path, roles: Sequence[Role], inputs: Inputs) -> SessionMessages:
@@ -96,8 +101,8 @@ def _names(path: Path, bag: Bag, roles: Sequence[Role], inputs: Inputs) -> Mappi
         before = [t for t, name in names.items() if name == role.name and not is_info(t)]
         if before and not is_info(role.topic):
             raise InputError(
-                f"--topic gives {role.name} both {before[0]} and {role.topic}; two of them need "
-                "two names in the site file"
+                f"--topic gives {role.name} both {before[0]} and {role.topic}: give one of them; "
+                "two cameras or robots need two names"
             )
         names[role.topic] = role.name
         if kind in PICTURES:

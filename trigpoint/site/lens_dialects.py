@@ -154,8 +154,9 @@ def _distortion_of(found: _Keys) -> np.ndarray:
     if found.first(_DISTORTION) is not None:
         return found.numbers(_DISTORTION, "distortion_coefficients")
     singly = {name: found.first(f"{prefix}{name}" for prefix in _PREFIXES) for name in _SINGLY}
-    if _named_model(found) is LensModel.EQUIDISTANT:
-        names = ("k1", "k2", "k3", "k4")
+    model = _named_model(found) or LensModel.PLUMB_BOB
+    if model is LensModel.EQUIDISTANT:
+        names = model.coefficients
         if singly["k1"] is None and singly["k5"] is not None:
             names = ("k2", "k3", "k4", "k5")  # camodocal counts from the third power of the angle
     else:
@@ -163,7 +164,7 @@ def _distortion_of(found: _Keys) -> np.ndarray:
     if all(value is None for value in singly.values()):
         raise InputError(
             f"{found.file}: the key «distortion_coefficients» is missing; write it as ROS does, "
-            "with five zeros where the lens has no distortion"
+            f"with {len(model.coefficients)} zeros where the lens has no distortion"
         )
     given = [0 if singly[name] is None else _only(singly[name]) for name in names]
     return _Keys({"all": given}, found.file).numbers(["all"], "k1, k2, …")
@@ -259,7 +260,7 @@ def _mappings(value: Any) -> Iterator[dict[str, Any]]:
 
 def _document(text: str, file: str) -> dict[str, Any]:
     """The mapping in a text, by what it looks like."""
-    start = text.lstrip("\ufeff \t\r\n")
+    start = text.lstrip()
     document: Any = None
     if start.startswith("<"):
         document = _of_xml(start, file)

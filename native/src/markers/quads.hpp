@@ -53,7 +53,7 @@ private:
     std::vector<std::uint8_t> shrunk_, parted_, dark_;
     std::vector<std::uint16_t> columns_;
     std::vector<Run> runs_;
-    std::vector<std::int32_t> parents_, order_;
+    std::vector<std::int32_t> parents_;
     std::vector<Piece> pieces_;
     std::vector<Point> outline_;
     std::vector<std::size_t> kept_;

@@ -15,6 +15,7 @@ from trigpoint.contract.messages import Diagnostics, DiagnosticStatus
 from trigpoint.contract.topics import CAMERA_INFO, DIAGNOSTICS, ODOMETRY, SIGHTINGS
 from trigpoint.node.node import Node
 from trigpoint.recorder.mcap.check import check
+from trigpoint.recorder.mcap.rosbag_metadata import PartFacts, write_metadata
 from trigpoint.recorder.node import Recorder, settings_of
 from trigpoint.recorder.session.recording import open_recording
 from trigpoint.recorder.writing.attachments import without_passwords
@@ -164,6 +165,27 @@ def test_info_tells_rates_and_gaps(session_file: Path, cli: Cli) -> None:
     assert odometry["longest_gap_s"] == pytest.approx(0.05)
     assert odometry["sequence_breaks"] == 0
     assert KEY in cli("info", session_file).out
+
+
+def test_check_says_of_an_empty_file_once_that_it_is_not_sound(tmp_path: Path, cli: Cli) -> None:
+    empty = tmp_path / "empty.mcap"
+    empty.touch()
+    said = cli("check", empty, status=1)
+    assert said.out == f"{empty}: error: the file is empty; nothing was recorded into it\n"
+    assert said.err == "no message in it is whole; copy or record it anew\n"
+
+
+def test_check_says_of_a_missing_part_once_that_it_is_not_sound(
+    session_file: Path, tmp_path: Path, cli: Cli, caplog: pytest.LogCaptureFixture
+) -> None:
+    there, missing = tmp_path / "session.mcap", tmp_path / "session_part2.mcap"
+    there.write_bytes(session_file.read_bytes())
+    write_metadata(tmp_path, [PartFacts(part.name, (0, 1), {}) for part in (there, missing)])
+    said = cli("check", tmp_path, status=1)
+    lines = said.out.splitlines()
+    assert lines[0] == f"{missing}: error: is listed in metadata.yaml, but not there; copy it too"
+    assert lines[-1] == f"{there}: sound"
+    assert missing.name not in said.err + caplog.text
 
 
 def test_check_and_recover_as_commands(session_file: Path, tmp_path: Path, cli: Cli) -> None:

@@ -9,6 +9,8 @@ from support.pictures.boards import aprilgrid, charuco, checkerboard, picture_of
 from support.wrong_inputs.targets import shots
 
 from trigpoint.edge.detector import detector_for
+from trigpoint.edge.markers.misdescribed import MisdescribedBoards
+from trigpoint.edge.registration.appearance import Appearance
 from trigpoint.edge.tracker import TargetTracker
 from trigpoint.site.target import NOWHERE, Face, Numbering, Pattern
 
@@ -132,6 +134,16 @@ def test_board_of_the_sites_other_pattern_is_no_misdescribed_one() -> None:
     assert detector.misdescribed == ()
 
 
+@pytest.mark.parametrize("hidden", [0, 1, 2])
+def test_rows_of_the_sites_other_pattern_may_be_hidden(hidden: int) -> None:
+    board = charuco(5, 7, first=30)
+    uppermost = replace(KALIBR, id=1, rows=5 - hidden, first_marker=6 * hidden)
+    detector = detector_for([target_of(board, replace(KALIBR, id=1))])
+    for picture in shots(uppermost, np.random.default_rng(2), 2):
+        assert detector.detect(picture)
+    assert detector.misdescribed == ()
+
+
 def test_markers_that_chance_reads_at_an_edge_are_no_board_where_the_board_goes_on() -> None:
     true = Face(0, Pattern.CHARUCO, 7, 5, 0.04, *NOWHERE, marker=0.03, dictionary="DICT_5X5_100")
     described = replace(true, columns=5, rows=7, dictionary="DICT_4X4_50")
@@ -161,6 +173,32 @@ def test_size_of_another_board_is_taken_back_when_the_described_one_is_seen() ->
     assert detector.misdescribed == ()
     assert detector.detect(picture_of([placed(charuco(9, 6), distance=1.0)])) == ()
     assert detector.misdescribed == ()
+
+
+def test_board_of_a_later_face_is_said_of_that_face_and_stays_so_when_the_first_is_seen() -> None:
+    first, printed = charuco(5, 7), charuco(8, 6, number=1, first=20)
+    detector = detector_for([target_of(first, replace(printed, columns=5, rows=7))])
+    random = np.random.default_rng(1)
+    said = list[tuple[str, ...]]()
+    for face in (printed, first, printed):
+        assert bool(detector.detect(shots(face, random, 1)[0])) is (face is first)
+        said.append(detector.misdescribed)
+    assert said[1:] == said[:-1]
+    [line] = said[0]
+    assert line.startswith("face 1 ")
+    assert "with columns = 8, rows = 6 or more, so" in line
+
+
+def test_board_is_said_of_another_face_when_the_one_it_was_said_of_is_seen() -> None:
+    seen = charuco(8, 6)
+    looks = [Appearance(face, "box", face.id) for face in (charuco(5, 7), charuco(7, 9, number=1))]
+    boards = MisdescribedBoards(looks, [look.face for look in looks])
+    boards.look(shots(seen, np.random.default_rng(1), 1)[0], set())
+    [(said_of, _)] = boards.lines.items()
+    boards.confirm(said_of)
+    [(heir, line)] = boards.lines.items()
+    assert {said_of, heir} == set(looks)
+    assert line.startswith(f"{heir.words}: the pictures show a board with columns = 8")
 
 
 def test_board_that_drives_in_is_dropped_when_the_part_that_disagrees_comes_into_view() -> None:

@@ -1,11 +1,14 @@
 """How much is looked for in one picture in place of the file's boards."""
 
+from functools import partial
+
 import cv2
 import numpy as np
 import pytest
 
 from trigpoint.edge.markers import misdescribed
 from trigpoint.edge.markers.misdescribed import MisdescribedBoards
+from trigpoint.edge.markers.other_boards import readings
 from trigpoint.edge.registration.appearance import Appearance
 from trigpoint.site.target import NOWHERE, Face, Pattern
 
@@ -56,3 +59,18 @@ def test_no_board_is_begun_when_the_time_is_over(tried: list[object]) -> None:
     assert len(tried) == 2
     boards.look(picture, set(), lambda: len(tried) >= 4)
     assert len(set(tried)) == 4
+
+
+def _has_grown(tried: list[object], most: int) -> bool:
+    return len(tried) >= most
+
+
+def test_nothing_vague_is_said_before_every_board_was_looked_for(tried: list[object]) -> None:
+    look = Appearance(BOARD, "box", 0)
+    boards, picture = MisdescribedBoards([look], [BOARD]), np.full((480, 640), 230, np.uint8)
+    count = len(list(readings([look])))
+    while len(tried) + 5 < count:
+        boards.look(picture, {look}, partial(_has_grown, tried, len(tried) + 5))
+        assert boards.lines == {}
+    boards.look(picture, {look})
+    assert "compare columns" in boards.lines[look]

@@ -32,6 +32,18 @@ def test_a_wider_board_is_told_by_its_rows() -> None:
     assert found.face.columns == 11
 
 
+@pytest.mark.parametrize(("told", "first"), [((0, 60), 0), ((), 6), ((60,), 6)])
+def test_grid_whose_lowest_row_is_hidden_begins_as_the_sites(
+    told: tuple[int, ...], first: int
+) -> None:
+    charuco = replace(GRID, pattern=Pattern.CHARUCO, columns=5, rows=7, first_marker=60)
+    reading = Reading(Appearance(charuco, "box", 1), charuco, False, ())
+    found = other_size(reading, read(GRID, list(range(6, 36))), told)
+    assert found is not None
+    assert found.face.first_marker == first
+    assert found.is_as(GRID) is (first == 0)
+
+
 @pytest.mark.parametrize("shown", [[*range(7), 11, 12, 13], [*range(10)]])
 def test_rows_that_fit_boards_of_several_widths_tell_nothing_false(shown: list[int]) -> None:
     true = replace(GRID, columns=11, rows=4)

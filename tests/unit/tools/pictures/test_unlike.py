@@ -24,6 +24,16 @@ def test_board_that_is_seen_in_place_of_the_targets_is_named(
     assert said in cli("intrinsics", pictures, "--target", target, "--out", out, status=1).err
 
 
+@pytest.mark.parametrize("cut_px", [180, 220, 260])
+@pytest.mark.parametrize("seed", [3, 4, 5])
+def test_board_behind_what_stands_before_the_camera_is_none(seed: int, cut_px: int) -> None:
+    """What is left of it is whole, too, and of one size in several pictures."""
+    pictures = shots(checkerboard(8, 6), np.random.default_rng(seed), 10)
+    for picture in pictures:
+        picture[:, :cut_px] = 120
+    assert squares_seen(pictures) == ""
+
+
 def test_board_that_is_cut_now_here_now_there_is_none() -> None:
     """Its parts are of other sizes each time."""
     whole = shots(checkerboard(9, 7), np.random.default_rng(3), 6)

@@ -196,9 +196,10 @@ def test_board_that_the_target_file_has_wrong_is_said_by_calibrate(
 @pytest.mark.parametrize(
     ("roles", "said"),
     [
-        (["c1=/a", "c2=/a"], "/a is given 2 times, as c1 and c2"),
-        (["c1=/a", "c1=/b"], "gives c1 both /a and /b"),
-        (["r1=/odom", "r1=/odom2"], "gives r1 both /odom and /odom2"),
+        (["c1=/a", "c2=/a"], "/a is given twice, as c1 and c2; each topic is one"),
+        (["c1=/a", "c1=/a"], "/a is given twice for c1; once is enough"),
+        (["c1=/a", "c1=/b"], "gives c1 both /a and /b: give one of them"),
+        (["r1=/odom", "r1=/odom2"], "gives r1 both /odom and /odom2: give one of them"),
     ],
 )
 def test_topic_of_two_and_two_of_one_are_refused(
