@@ -77,9 +77,10 @@ class OdometryDoubts:
                 "their stamps lack the nanoseconds, or do two send them?"
             )
         stamps_ns = self._tracks[robot].stamps_ns
-        if len(stamps_ns) > 1 and (period := median(np.diff(stamps_ns))) > _LONGEST_PERIOD_NS:
+        period_ns = round(median(np.diff(stamps_ns))) if len(stamps_ns) > 1 else 0
+        if period_ns > _LONGEST_PERIOD_NS:
             yield (
-                f"its {count} odometry messages are {to_seconds(round(period)):.3g} s apart by their "
+                f"its {count} odometry messages are {to_seconds(period_ns):.3g} s apart by their "
                 "stamps; are the seconds in them milli- or nanoseconds?"
             )
         if self._site.robots[robot].planar and came.tilted > _MOST_TILTED * count:
