@@ -179,9 +179,15 @@ def _with_headers(source: Path, known: set[Path]) -> set[Path]:
 
 
 def _run(command: list[str]) -> None:
-    ran = subprocess.run(
-        command, capture_output=True, text=True, timeout=_MOST_SECONDS, check=False
-    )
+    try:
+        ran = subprocess.run(
+            command, capture_output=True, text=True, timeout=_MOST_SECONDS, check=False
+        )
+    except subprocess.TimeoutExpired:
+        raise BuildError(
+            f"the compiler took longer than {_MOST_SECONDS} s; build again once the machine is less "
+            f"busy, what is done is kept:\n{' '.join(command)}"
+        ) from None
     if ran.returncode:
         raise BuildError(f"the compiler failed:\n{' '.join(command)}\n{ran.stderr[-4000:]}")
 
