@@ -185,8 +185,8 @@ def _run(command: list[str]) -> None:
         )
     except subprocess.TimeoutExpired:
         raise BuildError(
-            f"the compiler took longer than {_MOST_SECONDS} s; build again once the machine is less "
-            f"busy, what is done is kept:\n{' '.join(command)}"
+            f"the compiler took longer than {_MOST_SECONDS} s; build again once the machine is "
+            f"less busy, what is done is kept:\n{' '.join(command)}"
         ) from None
     if ran.returncode:
         raise BuildError(f"the compiler failed:\n{' '.join(command)}\n{ran.stderr[-4000:]}")
