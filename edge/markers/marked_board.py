@@ -16,6 +16,7 @@ from trigpoint.edge.registration.measurement import (
 from trigpoint.edge.registration.planar_fit import PlanarFit
 from trigpoint.edge.registration.plane_fitting import settled_fit
 from trigpoint.geometry.rotation import Array
+from trigpoint.geometry.samples import median
 from trigpoint.site.target import Face, Pattern
 
 from .marker_groups import MarkerGroup
@@ -122,10 +123,9 @@ class MarkedBoard(Struct, frozen=True, eq=False):
         numbers = np.flatnonzero(_are_inside(grey, quads))
         if len(numbers) == 0 or len(found.corners) < self._least_corners(len(numbers)):
             return None
-        scores = np.sort(reader.agreement(grey, self.face, quads[numbers], numbers))
+        scores = reader.agreement(grey, self.face, quads[numbers], numbers)
         least = _LEAST_OF_FEW.get(len(numbers), LEAST_AGREEMENT)
-        half = len(scores) // 2
-        return found if 0.5 * (scores[half] + scores[~half]) >= least else None
+        return found if median(scores) >= least else None
 
     def agrees(
         self, grey: np.ndarray, fit: PlanarFit, numbers: np.ndarray, reader: MarkerReader

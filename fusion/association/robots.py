@@ -13,7 +13,7 @@ from trigpoint.geometry import Pose
 from .events import Events
 from .memory import Memory
 from .mode import Mode, VisitModes
-from .modes import ModeFinder
+from .modes import ModeFinder, renumbered
 from .noise import PESSIMISTIC
 from .session_noise import with_noise
 from .variances import corner_scale
@@ -73,13 +73,8 @@ class RobotFit(Struct, frozen=True):
         known = len(visit.chosen)
         whole = [finder.observations[row] for row in visit.chosen]
         whole += [each.scattering(self.scatter) for each in others.values()]
-        mode = replace(
-            self.mode,
-            readings=dict(enumerate(self.mode.readings[row] for row in visit.chosen)),
-            wild=dict(enumerate(self.mode.wild[row] for row in visit.chosen)),
-            poses=dict(enumerate(self.mode.poses[row] for row in visit.chosen)),
-        )
         wider = replace(visit, indices=tuple(range(len(whole))), chosen=tuple(range(known)))
+        mode = renumbered(self.found, wider).modes[0]
         read = ModeFinder(finder.data, whole, finder.events, finder.memory).completed(wider, mode)
         return {
             order: _shown(pictures[order].of(visit.robot), read.readings[known + row])

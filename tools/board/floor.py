@@ -1,7 +1,5 @@
 """The floor plan under the page's map: its picture, and where it lies."""
 
-import numpy as np
-
 from trigpoint.base.errors import InputError
 from trigpoint.contract.messages import PoseEstimate
 from trigpoint.map.building import load_plan
@@ -11,8 +9,7 @@ from trigpoint.tools.pages.floor_plan import picture_matrix, png
 
 from .entities import Fields
 
-_SHADE = 17
-"""From one shade of grey to the next: sixteen are enough."""
+_SHADES = 16
 _MOST_PIXELS = 1200
 """A side; walls are still seen, and the picture of a hall has some tens of kilobytes."""
 
@@ -26,7 +23,7 @@ class Floor:
         self._laying = LiveLaying(site.map, plan)
         self._building = self._laying.given()
         self._trouble = ""
-        self.picture = b"" if self._plan is None else png(_in_few_shades(self._plan.pixels))
+        self.picture = b"" if self._plan is None else png(self._plan.pixels, colours=_SHADES)
 
     def take(self, kind: str, name: str, message: PoseEstimate) -> None:
         """Take the pose of a camera or robot, by which the map may be laid anew."""
@@ -51,8 +48,3 @@ class Floor:
             matrix = picture_matrix(corners[:, :2], columns, rows)
             found |= {"size": [columns, rows], "matrix": [round(value, 6) for value in matrix]}
         return found
-
-
-def _in_few_shades(pixels: np.ndarray) -> np.ndarray:
-    """Grey pixels, uint8, each in the nearest of the shades: their file is smaller."""
-    return np.rint(pixels / _SHADE).astype(np.uint8) * np.uint8(_SHADE)
