@@ -121,23 +121,21 @@ def test_a_robot_that_stands_still_after_a_lift_is_tied_to_where_it_stands_now()
     assert len(track) < MOST_STANDING + 10
 
 
-@pytest.mark.parametrize("cut", [1, 700, 1500])
-def test_messages_that_come_at_once_are_taken_one_after_the_other(cut: int) -> None:
-    """A drive, a standstill, a message that is late, a jump, and a gap driven through."""
-    driven = np.concatenate([0.01 * np.arange(100), np.full(1200, 1.0), 1 + 0.01 * np.arange(99)])
-    stamps_ns = PERIOD_NS * np.arange(len(driven))
-    stamps_ns[1350] = stamps_ns[1340]
-    stamps_ns[1390:] += to_ns(3.0)
-    driven[1370:] += 4.0
-    poses = Pose.planar(driven, 0.1 * driven, 0.2 * driven)
-    single, at_once = (OdometryTrack(OdometryNoise(), planar=True) for _ in range(2))
-    each = [single.add(int(stamp_ns), poses[row]) for row, stamp_ns in enumerate(stamps_ns)]
+def test_messages_at_once_are_taken_as_one_after_the_other() -> None:
+    """With a standstill that is merged, jumps, gaps and messages that are not newer."""
+    random = np.random.default_rng(3)
+    steps = random.choice([0.0, 0.02, 30.0], size=4000, p=[0.2, 0.79, 0.01])
+    steps[1000 : 1100 + 2 * MOST_STANDING] = 0.0
+    apart_ns = random.choice([0, PERIOD_NS, 2 * 10**9], size=len(steps), p=[0.05, 0.94, 0.01])
+    stamps_ns, poses = np.cumsum(apart_ns), Pose.planar(np.cumsum(steps), 0.0, 0.0)
+    single, several = (OdometryTrack(OdometryNoise(), planar=True) for _ in range(2))
+    added = [single.add(int(ns), poses[row]) for row, ns in enumerate(stamps_ns)]
     readings = Readings(stamps_ns, poses)
-    found = at_once.add_run(readings[:cut]) + at_once.add_run(readings[cut:])
-    assert found == each
-    assert [each.count(kind) for kind in (Added.STALE, Added.JUMP)] == [1, 2]
-    assert len(at_once) == len(single) < len(driven) - 100
-    assert at_once.jump_steps == single.jump_steps
-    np.testing.assert_array_equal(at_once.stamps_ns, single.stamps_ns)
-    np.testing.assert_array_equal(at_once.odom_from_base.rows(), single.odom_from_base.rows())
-    np.testing.assert_array_equal(at_once.reported.rows(), single.reported.rows())
+    some = [several.add_run(readings[row : row + 37]) for row in range(0, len(steps), 37)]
+    assert [each for outcome in some for each in outcome] == added
+    assert set(added) == set(Added)
+    assert len(several) == len(single) < len(steps) - MOST_STANDING
+    assert several.jump_steps == single.jump_steps
+    assert several.reported.rows().tobytes() == single.reported.rows().tobytes()
+    for mine, other in zip(several._tables, single._tables, strict=True):
+        assert mine.tobytes() == other.tobytes()

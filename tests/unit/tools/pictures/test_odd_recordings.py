@@ -1,5 +1,5 @@
 """Recordings as people have them: one bad message among good ones, anything that MCAP lets a writer
-leave out, several parts, packed files, foreign encodings."""
+leave out, foreign encodings."""
 
 import json
 import re
@@ -9,16 +9,14 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-import zstandard
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.writer import CompressionType, IndexType, Writer
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
-from rosbags.rosbag2 import Writer as BagWriter
 from ruamel.yaml import YAML
-from support.builders import make_odometry, site_text
+from support.builders import make_odometry
 from support.commands import Cli
-from support.pictures.boards import CHARUCO_TARGET, charuco, picture_of, placed
+from support.pictures.boards import CHARUCO_TARGET
+from support.pictures.recordings import GREY, PNG, SOUND, TOPIC, write
 
 from trigpoint.cli import run
 from trigpoint.contract import cdr
@@ -28,10 +26,6 @@ from trigpoint.recorder.session.bag import Bag
 from trigpoint.recorder.session.recording import open_recording
 from trigpoint.tools.pictures.bag import grey_of
 
-GREY = picture_of([placed(charuco(), distance=0.8, tilt_deg=15)])
-PNG = cv2.imencode(".png", GREY)[1].tobytes()
-SOUND = cdr.encode(Picture(0, "", "png", PNG))
-TOPIC = "/c1/image_raw/compressed"
 BAD = {
     "nothing": b"",
     "cut": SOUND[:21],
@@ -40,35 +34,6 @@ BAD = {
     "half a picture": cdr.encode(Picture(0, "", "png", PNG[: len(PNG) // 2])),
     "another picture's end": cdr.encode(Picture(0, "", "png", PNG[len(PNG) // 2 :])),
 }
-
-
-def write(
-    file: Path,
-    payloads: list[bytes],
-    *,
-    first_s: int = 1000,
-    topic: str = TOPIC,
-    encoding: str = "cdr",
-    **options: Any,
-) -> Path:
-    """A file of pictures, a second apart."""
-    writer = Writer(str(file), **options)
-    writer.start(profile="ros2", library="theirs")
-    schema = writer.register_schema(PICTURE, "ros2msg", cdr.definition(PICTURE).encode())
-    channel = writer.register_channel(topic, encoding, schema)
-    for number, payload in enumerate(payloads):
-        time_ns = (first_s + number) * 10**9
-        writer.add_message(channel, time_ns, payload, time_ns)
-    writer.finish()
-    return file
-
-
-def listed(folder: Path, files: list[str]) -> Path:
-    """A folder's metadata.yaml, as rosbag2 has it."""
-    information = {"relative_file_paths": files, "compression_mode": "", "version": 9}
-    text = json.dumps({"rosbag2_bagfile_information": information})
-    (folder / "metadata.yaml").write_text(text)
-    return folder
 
 
 @pytest.mark.parametrize("bad", BAD)
@@ -213,117 +178,6 @@ def never(*reason: object) -> None:
     raise AssertionError(reason)
 
 
-def parts(folder: Path, *, packed: bool) -> Path:
-    """A bag of two parts, in an order that is not that of their names."""
-    folder.mkdir()
-    names = []
-    for number, name in enumerate(("z.mcap", "a.mcap")):
-        file = write(folder / name, [SOUND] * (number + 1), first_s=1000 + 10 * number)
-        if packed:
-            name = f"{name}.zstd"
-            (folder / name).write_bytes(zstandard.compress(file.read_bytes()))
-            file.unlink()
-        names.append(name)
-    return listed(folder, names)
-
-
-@pytest.mark.parametrize("packed", [False, True])
-def test_a_bag_of_parts_is_one_session_for_every_command(
-    tmp_path: Path, target: Path, packed: bool, cli: Cli
-) -> None:
-    bag = parts(tmp_path / "bag", packed=packed)
-    assert [part.path.name[:1] for part in open_recording(bag).parts] == ["z", "a"]
-    info = json.loads(cli("info", bag, "--json").out)
-    assert info["keys"][TOPIC[1:]]["messages"] == 3
-    assert all(Path(file).parent == bag for file in info["files"])
-    cli("check", bag)
-    cli("recover", bag)
-    assert open_recording(bag / "recovered").counts == {TOPIC[1:]: 3}
-    assert cli("detect", bag, "--target", target).out.count("face 0") == 3
-
-
-@pytest.mark.parametrize(
-    ("plugin", "packing", "is_file"),
-    [
-        (StoragePlugin.SQLITE3, None, False),
-        (StoragePlugin.SQLITE3, None, True),
-        (StoragePlugin.SQLITE3, CompressionMode.FILE, False),
-        (StoragePlugin.SQLITE3, CompressionMode.FILE, True),
-        (StoragePlugin.SQLITE3, CompressionMode.MESSAGE, False),
-        (StoragePlugin.MCAP, CompressionMode.MESSAGE, False),
-    ],
-)
-def test_a_bag_in_sqlite_or_of_packed_messages_is_a_session_for_every_command(
-    tmp_path: Path,
-    target: Path,
-    plugin: StoragePlugin,
-    packing: CompressionMode | None,
-    is_file: bool,
-    cli: Cli,
-) -> None:
-    writer = BagWriter(tmp_path / "bag", version=9, storage_plugin=plugin)
-    if packing is not None:
-        writer.set_compression(packing, CompressionFormat.ZSTD)
-    with writer:
-        connection = writer.add_connection(TOPIC, PICTURE, typestore=store())
-        for number, payload in enumerate((SOUND, b"", SOUND)):
-            writer.write(connection, number + 1, payload)
-    bag = next(writer.path.glob("*.db3*")) if is_file else writer.path
-    info = json.loads(cli("info", bag, "--json").out)
-    assert info["keys"][TOPIC[1:]]["messages"] == 3
-    assert info["files"] == [str(bag)]
-    assert f"{bag}: warning: a message of {TOPIC}" in cli("check", bag, status=1).out
-    cli("recover", bag)
-    assert open_recording(writer.path / "recovered").counts == {TOPIC[1:]: 2}
-    assert cli("detect", bag, "--target", target).out.count("face 0") == 2
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        ["review", "--save", "a.rrd"],
-        ["export", "--out", "out", "--format", "mcap"],
-        ["calibrate", "--out", "out"],
-    ],
-)
-def test_a_bag_of_no_session_is_named_as_one_with_what_takes_it(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    words: list[str],
-    cli: Cli,
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "site.toml").write_text(site_text(cameras=1))
-    (tmp_path / "target.toml").write_text(CHARUCO_TARGET)
-    command, *more = words
-    bag = str(write(tmp_path / "bag.mcap", [SOUND]))
-    assert f"none of its topics ({TOPIC}) is one of a session" in cli.refused(
-        command, bag, "--site", "site.toml", *more
-    )
-
-
-def test_a_bag_of_ros_1_is_named_with_what_reads_it(tmp_path: Path, cli: Cli) -> None:
-    (tmp_path / "old.bag").write_bytes(b"#ROSBAG V2.0")
-    assert "ROS 1 bag, which only detect" in cli.refused("info", tmp_path / "old.bag")
-
-
-def test_a_part_that_was_unpacked_by_hand_is_found(tmp_path: Path) -> None:
-    bag = parts(tmp_path / "bag", packed=True)
-    write(bag / "a.mcap", [SOUND] * 2)
-    (bag / "a.mcap.zstd").unlink()
-    assert open_recording(bag).counts == {TOPIC[1:]: 3}
-
-
-def test_a_file_of_packed_messages_is_refused_with_what_to_give(tmp_path: Path, cli: Cli) -> None:
-    bag = parts(tmp_path / "bag", packed=False)
-    file = bag / "metadata.yaml"
-    file.write_text(
-        file.read_text().replace('"compression_mode": ""', '"compression_mode": "MESSAGE"')
-    )
-    for command in ("info", "check", "recover"):
-        assert "give its folder" in cli.refused(command, bag / "z.mcap")
-
-
 def test_a_topic_without_pictures_is_said_and_the_status_is_1(
     tmp_path: Path, target: Path, cli: Cli
 ) -> None:
@@ -332,26 +186,6 @@ def test_a_topic_without_pictures_is_said_and_the_status_is_1(
         assert (
             "no picture is in what was given" in cli(command, bag, "--target", target, status=1).err
         )
-
-
-@pytest.mark.parametrize("is_there", [True, False])
-def test_a_part_in_which_there_is_nothing_is_named_and_the_others_are_read(
-    tmp_path: Path, cli: Cli, is_there: bool
-) -> None:
-    """As a full disk leaves it, or who copied by hand."""
-    bag = parts(tmp_path / "bag", packed=False)
-    (bag / "a.mcap").unlink()
-    if is_there:
-        (bag / "a.mcap").touch()
-    why = "the file is empty" if is_there else "is listed in metadata.yaml, but not there"
-    said = cli("info", bag, "--json")
-    assert f"a.mcap: {why}" in said.err
-    assert json.loads(said.out)["keys"][TOPIC[1:]]["messages"] == 1
-    assert f"a.mcap: error: {why}" in cli("check", bag, status=1).out
-    cli("recover", bag)
-    assert open_recording(bag / "recovered").counts == {TOPIC[1:]: 1}
-    (bag / "z.mcap").write_bytes(b"")
-    assert "z.mcap: the file is empty" in cli.refused("info", bag)
 
 
 def test_check_sends_nobody_to_recover_where_nothing_can_be_saved(tmp_path: Path, cli: Cli) -> None:
