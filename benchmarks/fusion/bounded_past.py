@@ -1,6 +1,6 @@
 """A long session whose past is summarised, beside the same solved as a whole.
 
-    python -m benchmarks bounded [--laps L] [--sessions S] [--lenses]
+    PYTHONPATH=tests python -m benchmarks bounded [--laps L] [--sessions S] [--lenses]
 
 A robot drives L times round ten cameras: with each lap it comes before each once. Both times all of
 it is explained; once with the limits of a live map (`settled_past.LIVE`), once with none. Errors
@@ -8,17 +8,16 @@ are those of the cameras' poses by the truth, their squares by their covariances
 expected, by each of the six unknowns of a camera.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Annotated
 
 import numpy as np
 import typer
+from support.fusion.solvers import SlowSolver
 
 from benchmarks.table import Row
 from trigpoint.fusion.estimators.smoother.settled_past import LIVE, Limits
-from trigpoint.fusion.live.solver_messages import News, Order
-from trigpoint.fusion.live.solver_worker import SolverWorker
-from trigpoint.fusion.pipeline import Inputs, Pipeline
+from trigpoint.fusion.pipeline import Pipeline
 from trigpoint.fusion.replaying import replayed
 from trigpoint.geometry.rotation import Array
 
@@ -27,24 +26,6 @@ from .corridor import Corridor
 _CAMERAS = 10
 _LENSES = 'intrinsics = "estimate"\ntime_offset_sigma = 0.01\n'
 _NEVER = Limits(10**9, 10**9, 10**9)
-
-
-class _InPlace:
-    """A solver that carries orders out as they are given."""
-
-    def __init__(self, inputs: Inputs, limits: Limits) -> None:
-        self._worker, self._news = SolverWorker(inputs.data_set(), limits), list[News]()
-
-    def tell(self, orders: Sequence[Order]) -> None:
-        for order in orders:
-            self._news += self._worker.carry_out(order)
-
-    def news(self) -> list[News]:
-        news, self._news = self._news, []
-        return news
-
-    def close(self) -> None:
-        return
 
 
 def main(
@@ -77,7 +58,7 @@ def _errors(corridor: Corridor, limits: Limits, sessions: int) -> Iterator[Array
     truths = [corridor.camera(index) for index in range(corridor.cameras)]
     for seed in range(sessions):
         pipeline = Pipeline(
-            corridor.inputs, is_live=False, solver=_InPlace(corridor.inputs, limits)
+            corridor.inputs, is_live=False, solver=SlowSolver(corridor.inputs, limits=limits)
         )
         replayed(pipeline, corridor.messages(seed=seed))
         pipeline.finish()

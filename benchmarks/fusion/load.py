@@ -115,24 +115,26 @@ def _driven(name: str, load: Load, tells: bool) -> list[Row]:
     solver = SolverProcess(load.corridor.inputs.data_set())
     try:
         with TemporaryDirectory() as folder:
-            return _Drive(load, solver, Path(folder), tells=tells).go(name)
+            return Drive(load, solver, Path(folder), tells=tells).go(name)
     finally:
         solver.close()
 
 
-class _Drive:
+class Drive:
     """Feeds a pipeline, and notes what its turns take."""
 
-    def __init__(self, load: Load, solver: SolverProcess, folder: Path, *, tells: bool) -> None:
+    def __init__(
+        self, load: Load, solver: SolverProcess, folder: Path, *, tells: bool = False
+    ) -> None:
         self._load, self._solver, self._tells = load, solver, tells
         inputs = load.corridor.inputs
         self._site = inputs.site.name
         self._folder = folder
         self._storage = MapStorage(folder, inputs.site, SystemClock(), knows=lambda _: True)
-        self._pipeline = Pipeline(inputs, is_live=False, solver=solver)
-        self._pipeline.resumed(is_new=True)
+        self.pipeline = Pipeline(inputs, is_live=False, solver=solver)
+        self.pipeline.resumed(is_new=True)
         self._asked_s, self._answer_s = 0.0, float("nan")
-        self._begin()
+        self.begin()
 
     def go(self, name: str) -> list[Row]:
         """All of it; its rows."""
@@ -144,7 +146,7 @@ class _Drive:
         for now_ns, turn in session:
             before_s, now_s = now_s, to_seconds(now_ns - EPOCH_NS)
             if before_s < from_s <= now_s:
-                self._begin()
+                self.begin()
             late_s = self._taken_late_s(now_ns, turn, began_s + now_s)
             if now_s - told_s >= _TELL_S or late_s > _MOST_LATE_S:
                 self._pause(now_s, now_s - told_s)
@@ -152,25 +154,29 @@ class _Drive:
             if late_s > _MOST_LATE_S:
                 typer.echo("the turns are a minute late: this is not carried", err=True)
                 break
-        self._storage.close()
+        self.close()
         what = f"{name}, min {from_s / 60:.1f} to {now_s / 60:.1f}"
         return list(self._rows(what, now_s - from_s))
 
-    def _begin(self) -> None:
+    def close(self) -> None:
+        """End the checkpoint."""
+        self._storage.close()
+
+    def begin(self) -> None:
         """What is measured begins here."""
-        self._span, self._lately = Span(memory=[self._memory_mb()]), Span()
-        self._solver_s, self._stored = worked_s(self._solver.pid), self._stored_mb()
+        self.span, self._lately = Span(memory=[self.memory_mb()]), Span()
+        self._solver_s, self._stored = worked_s(self._solver.pid), self.stored_mb()
 
     def _pause(self, now_s: float, passed_s: float) -> None:
         """Listen to the solver, note the memory, and tell of the time since the last pause."""
-        self._listen()
-        self._span.memory.append(self._memory_mb())
+        self.listen()
+        self.span.memory.append(self.memory_mb())
         if self._tells:
-            mine, solvers = self._span.memory[-1]
+            mine, solvers = self.span.memory[-1]
             answer = f"; last answer {self._answer_s:.0f} s" if self._asked_s else ""
             typer.echo(
-                f"{now_s:6.0f} s: {self._lately.told(passed_s)}; {self._pipeline.located_count} "
-                f"located; {mine:.0f} + {solvers:.0f} MB, {self._stored_mb():.1f} stored{answer}",
+                f"{now_s:6.0f} s: {self._lately.told(passed_s)}; {self.pipeline.located_count} "
+                f"located; {mine:.0f} + {solvers:.0f} MB, {self.stored_mb():.1f} stored{answer}",
                 err=True,
             )
         self._lately = Span()
@@ -178,29 +184,30 @@ class _Drive:
     def _taken_late_s(self, now_ns: int, turn: Turn, due_s: float) -> float:
         """Take a turn, by the clock not before it is due; how late it was done then."""
         if not self._load.by_the_clock:
-            self._take(now_ns, turn)
+            self.take(now_ns, turn)
             return 0.0
         time.sleep(max(0.0, due_s - time.monotonic()))
-        self._take(now_ns, turn)
+        self.take(now_ns, turn)
         late_s = time.monotonic() - due_s
-        for span in (self._span, self._lately) if _seen(turn) else ():
+        for span in (self.span, self._lately) if _seen(turn) else ():
             span.late_s.append(late_s)
         return late_s
 
-    def _take(self, now_ns: int, turn: Turn) -> None:
+    def take(self, now_ns: int, turn: Turn) -> None:
+        """Take what came until a moment of the session."""
         begin_s, kept = time.thread_time(), list[tuple[str, Input, bytes]]()
         for node, message, type_name, payload in turn:
-            if self._pipeline.push(node, cdr.decode(type_name, payload)):
+            if self.pipeline.push(node, cdr.decode(type_name, payload)):
                 kept.append((node, message, payload))
-        for output in self._pipeline.advance(now_ns):
+        for output in self.pipeline.advance(now_ns):
             cdr.encode(output.message)
         took_s = time.thread_time() - begin_s
         for node, message, payload in kept:
             key = INPUT_TOPICS[type(message)].key(self._site, node)
             self._storage.store(key, payload, message)
-        self._storage.settle(self._pipeline.past)
+        self._storage.settle(self.pipeline.past)
         seen = _seen(turn)
-        for span in (self._span, self._lately):
+        for span in (self.span, self._lately):
             span.messages, span.spent_s = span.messages + len(turn), span.spent_s + took_s
             span.sightings += seen
             span.pictures += sum(isinstance(message, Sightings) for _, message, *_ in turn)
@@ -208,26 +215,30 @@ class _Drive:
             if seen:
                 span.updates_ms.append(1e3 * took_s)
 
-    def _listen(self) -> None:
+    def listen(self) -> None:
         """Ask the solver for everything, and wait for it where nothing comes by the clock."""
         if not self._load.by_the_clock:
-            self._pipeline.reports.ask()
-            while not self._pipeline.reports.is_answered:
+            self.pipeline.reports.ask()
+            while not self.pipeline.reports.is_answered:
                 time.sleep(_POLL_S)
-                self._pipeline.advance()
-        elif self._asked_s and not self._pipeline.reports.is_answered:
+                self.pipeline.advance()
+        elif self._asked_s and not self.pipeline.reports.is_answered:
             self._answer_s = time.monotonic() - self._asked_s
         else:
-            self._pipeline.reports.ask()
+            self.pipeline.reports.ask()
             self._asked_s = time.monotonic()
 
+    def solver_s(self) -> float:
+        """What the solver worked since `begin`."""
+        return worked_s(self._solver.pid) - self._solver_s
+
     def _rows(self, what: str, passed_s: float) -> Iterator[Row]:
-        span, memory = self._span, [*self._span.memory, self._memory_mb()]
+        span, memory = self.span, [*self.span.memory, self.memory_mb()]
         updates_ms = span.updates_ms or [np.nan]
         seen_1s, full_1s = span.sightings / passed_s, span.sightings / span.spent_s
-        solver = (worked_s(self._solver.pid) - self._solver_s) / passed_s
-        stored_mb, minutes = self._stored_mb() - self._stored, passed_s / 60
-        located, cameras = self._pipeline.located_count, self._load.corridor.cameras
+        solver = self.solver_s() / passed_s
+        stored_mb, minutes = self.stored_mb() - self._stored, passed_s / 60
+        located, cameras = self.pipeline.located_count, self._load.corridor.cameras
         goal = (20.0, "the goal of 99 % at 100 cameras")
         told = [
             ("an update, 50 %", "ms", np.percentile(updates_ms, 50), *goal),
@@ -249,17 +260,20 @@ class _Drive:
         for text, unit, ours, other, against in told:
             yield Row("load", f"{what}: {text}", unit, float(ours), float(other), against)
 
-    def _memory_mb(self) -> tuple[float, float]:
+    def memory_mb(self) -> tuple[float, float]:
+        """Resident: the estimator's and its solver's."""
         return resident_mb("self"), resident_mb(self._solver.pid)
 
-    def _stored_mb(self) -> float:
+    def stored_mb(self) -> float:
+        """Of all files of the map."""
         return sum(path.stat().st_size for path in self._folder.glob("*.bin")) / 1e6
 
 
-def turns(corridor: Corridor) -> Iterator[tuple[int, Turn]]:
-    """The session cut into turns: until when, and what came."""
-    until_ns, turn = EPOCH_NS + _TURN_NS, Turn()
-    for node, message in corridor.messages():
+def turns(corridor: Corridor, *, seed: int = 0, later_ns: int = 0) -> Iterator[tuple[int, Turn]]:
+    """The session, `later_ns` after its own time, cut into turns: until when, and what came."""
+    until_ns, turn = EPOCH_NS + later_ns + _TURN_NS, Turn()
+    for node, drawn in corridor.messages(seed=seed):
+        message = replace(drawn, stamp_ns=drawn.stamp_ns + later_ns) if later_ns else drawn
         while message.stamp_ns >= until_ns:
             yield until_ns, turn
             until_ns, turn = until_ns + _TURN_NS, Turn()
