@@ -56,11 +56,13 @@ class Layout(Struct, frozen=True):
 
 class Placed(Struct, frozen=True):
     """A graph at its minimum, with its `score`. `poses` (n, 12): rows of the robots at the
-    beginnings of their visits and of the cameras, as in `layout`; `ties`, `breaks`: of its variant;
-    `factor`: of the information matrix, whose rows are those of `layout`."""
+    beginnings of their visits and of the cameras, as in `layout`; `scales` (2 r,): of its robots in
+    order; `ties`, `breaks`: of its variant; `factor`: of the information matrix, whose rows are
+    those of `layout`."""
 
     score: float
     poses: Array
+    scales: Array
     ties: Mapping[int, Tie]
     breaks: frozenset[Break]
     layout: Layout

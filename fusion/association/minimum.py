@@ -57,10 +57,10 @@ class _Terms(Struct, frozen=True):
 class _Way(Struct, frozen=True):
     """The motions (m) between one robot's nodes: by odometry, or by a visit that shows one more
     precisely; where the robot was lifted, by a visit alone, if one shows it. `terms`: as the core
-    takes them; `score`: what their noise adds."""
+    takes them; `log_covariance` (m,): what their noise adds to the score."""
 
     terms: tuple[np.ndarray, Array, Array, Array, Array]
-    score: float
+    log_covariance: Array
 
 
 class Minima:
@@ -96,6 +96,8 @@ class Minima:
         terms = self._terms_of(frozenset(places))
         layout, modes = terms.layout, [self._mode[n] + tie.mode for n, tie in ties]
         values, information = terms.mean.copy(), terms.information.copy()
+        if variant.near is not None:
+            values[: len(variant.near.scales)] = variant.near.scales
         for camera, count in Counter(camera for camera, _ in places).items():
             if camera in terms.own:
                 # The information of each tie includes this prior, which counts only once in all.
@@ -108,7 +110,7 @@ class Minima:
             values[own] = self._own[mode, : own.stop - own.start]
         ends = np.array(ends, _WHOLE).reshape(-1, 4)
         said = ends, self._seen[modes], self._information[modes], self._own[modes]
-        poses = initial_poses(graph, layout, variant)
+        poses = initial_poses(graph, layout, variant, *said[:2])
         factor, score, ways = Factor(), np.empty(2), list[_Way]()
         steps = self._steps(layout, values)
         for _ in range(_MOST_SCALES):
@@ -129,10 +131,11 @@ class Minima:
             if all(steps[robot] is each for robot, each in before.items()):
                 break
         total = float(score.sum() + self._score[modes].sum()) + terms.constant
-        total += sum(way.score for way in ways)
+        total += sum(float(way.log_covariance.sum()) for way in ways)
         if not np.isfinite(total):
             return None
-        return Placed(total, poses, variant.ties, variant.breaks, layout, factor)
+        scales = values[: 2 * len(layout.scales)]
+        return Placed(total, poses, scales, variant.ties, variant.breaks, layout, factor)
 
     def _steps(self, layout: Layout, values: Array) -> dict[str, Steps]:
         """Return each robot's motions by odometry at its current scale errors, which are the first
@@ -142,38 +145,23 @@ class Minima:
         return {robot: path.steps(scales[robot]) for robot, path in self.graph.paths.items()}
 
     def _way(self, robot: str, layout: Layout, variant: Variant, by_odometry: Steps) -> _Way:
-        """Return what constrains a robot's motions; kept where it was not lifted."""
-        gaps = sorted(step for name, step in variant.breaks if name == robot)
+        """Return what constrains a robot's motions; kept but for where it was lifted."""
         key = robot, self.graph.silent(variant.nothing), *by_odometry.about.tolist()
-        if gaps or key not in self._ways:
-            made = self._made_way(robot, layout, variant.nothing, gaps, by_odometry)
-            if gaps:
-                return made
-            self._ways[key] = made
-        return self._ways[key]
+        if key not in self._ways:
+            self._ways[key] = self._unbroken(robot, layout, variant.nothing, by_odometry)
+        gaps = [step for name, step in variant.breaks if name == robot]
+        return self._broken(self._ways[key], robot, variant.nothing, gaps)
 
-    def _made_way(
-        self,
-        robot: str,
-        layout: Layout,
-        nothing: frozenset[int],
-        gaps: list[int],
-        by_odometry: Steps,
+    def _unbroken(
+        self, robot: str, layout: Layout, nothing: frozenset[int], by_odometry: Steps
     ) -> _Way:
-        graph, path = self.graph, self.graph.paths[robot]
-        way, room, anywhere = graph.way(robot, nothing), graph.room(path), list[int]()
-        for step in gaps:
-            across = graph.across((robot, step), nothing)
-            way = way.broken(step, across)
-            if across is None:
-                anywhere.append(step)
+        path, way = self.graph.paths[robot], self.graph.way(robot, nothing)
         count = len(by_odometry.motion)
         ends = np.zeros((count, 4), _WHOLE)
         ends[:, 0] = layout.first[robot] + np.arange(count)
         ends[:, 1], ends[:, 2] = ends[:, 0] + 1, -1
         if robot in layout.scales:
             ends[:, 2] = 2 * list(layout.scales).index(robot)
-        ends[anywhere, 3] = 1
         motion, by_scale = by_odometry.motion.rows(), by_odometry.by_scale.copy()
         about = np.tile(by_odometry.about, (count, 1))
         motion[way.steps], by_scale[way.steps], about[way.steps] = (
@@ -181,10 +169,27 @@ class Minima:
             0.0,
         )
         information = _whole(way.information, path.tangent)
-        # Only the prior of the room keeps such a step determined.
-        information[anywhere] = _whole(np.diag(1 / room)[None], path.tangent)
-        score = float(way.log_covariance.sum() + len(gaps) * np.log(room).sum())
-        return _Way((ends, motion, information, by_scale, about), score)
+        return _Way((ends, motion, information, by_scale, about), way.log_covariance)
+
+    def _broken(self, way: _Way, robot: str, nothing: frozenset[int], gaps: list[int]) -> _Way:
+        """Return a way with these steps, in which the robot was lifted: each as a visit shows it
+        across the lift, or else unknown."""
+        if not gaps:
+            return way
+        path, room = self.graph.paths[robot], self.graph.room(self.graph.paths[robot])
+        ends, motion, information, by_scale, about = (part.copy() for part in way.terms)
+        log_covariance = way.log_covariance.copy()
+        log_covariance[gaps] = np.log(room).sum()
+        for step in gaps:
+            across = self.graph.across((robot, step), nothing)
+            if across is None:  # only the prior of the room keeps it determined
+                ends[step, 3] = 1
+                information[step] = _whole(np.diag(1 / room)[None], path.tangent)[0]
+                continue
+            motion[step], by_scale[step], about[step] = across.motion.rows(), across.by_scale, 0.0
+            information[step] = _whole(across.information[None], path.tangent)[0]
+            log_covariance[step] += across.log_covariance - across.surprise
+        return _Way((ends, motion, information, by_scale, about), log_covariance)
 
     def _terms_of(self, places: frozenset[Place]) -> _Terms:
         if places not in self._terms:

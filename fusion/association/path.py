@@ -130,21 +130,6 @@ class Way(Struct, frozen=True):
             by_scale=np.concatenate([self.by_scale[kept], by_scale]),
         )
 
-    def broken(self, step: int, across: VisualStep | None) -> Self:
-        """The way with a step in which odometry broke: its motion is as a visit shows it across the
-        break, or else unknown."""
-        if across is not None:
-            return self.with_seen({step: across})
-        kept, log_covariance = self.steps != step, self.log_covariance.copy()
-        log_covariance[step] = 0.0
-        return replace(
-            self,
-            log_covariance=log_covariance,
-            steps=self.steps[kept],
-            motion=self.motion[kept],
-            by_scale=self.by_scale[kept],
-        )
-
 
 Picture = tuple[int, int]
 """When it was taken, in ns, and the index of the observation."""

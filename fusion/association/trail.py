@@ -93,7 +93,7 @@ def _variant(
             nodes = _nodes(graph, robot, stamps_ns[robot], Pose.from_rows(known))
             there[first : first + len(nodes)] = nodes
     ties, breaks = hypothesis.ties, hypothesis.breaks
-    near = Placed(0.0, there, ties, breaks, mine, Factor())
+    near = Placed(0.0, there, np.zeros(0), ties, breaks, mine, Factor())
     return hypothesis, Variant(ties, hypothesis.nothing, breaks, near)
 
 
