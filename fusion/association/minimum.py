@@ -14,7 +14,7 @@ from .factor import Factor
 from .graph import Graph, Layout, Place, Placed, Variant
 from .initial_values import initial_poses
 from .linear import HELD
-from .path import Steps
+from .path import Steps, in_all_axes
 
 # The bound of scale errors: no odometry is so far off, and a step beyond it comes from where the
 # linearisation is not valid.
@@ -70,7 +70,16 @@ class Minima:
         self.graph = graph
         self._terms: dict[frozenset[Place], _Terms] = {}
         self._ways: dict[tuple[object, ...], _Way] = {}
-        visits = graph.visits
+        self._room = {
+            robot: (in_all_axes(np.diag(1 / room), path.tangent), float(np.log(room).sum()))
+            for robot, path in graph.paths.items()
+            for room in [graph.room(path)]
+        }
+        visits, first = graph.visits, graph.layout([]).first
+        self._node = [
+            first[found.visit.robot] + node
+            for found, node in zip(visits, graph.node_of, strict=True)
+        ]
         # Every mode of every visit: what it ties, and how well.
         self._mode = np.cumsum([0, *(len(found.modes) for found in visits)]).tolist()
         self._seen = np.concatenate([np.zeros((0, 12)), *map(graph.seen_rows, range(len(visits)))])
@@ -98,17 +107,16 @@ class Minima:
         values, information = terms.mean.copy(), terms.information.copy()
         if variant.near is not None:
             values[: len(variant.near.scales)] = variant.near.scales
-        for camera, count in Counter(camera for camera, _ in places).items():
-            if camera in terms.own:
+        ends = np.full((len(ties), 4), (0, 0, -1, 0), _WHOLE)
+        ends[:, 0] = [self._node[n] for n, _ in ties]
+        ends[:, 1] = [layout.at[place] for place in places]
+        counts = Counter(camera for camera, _ in places) if terms.own else {}
+        for order, (camera, _) in enumerate(places if terms.own else ()):
+            if own := terms.own.get(camera):
                 # The information of each tie includes this prior, which counts only once in all.
-                information[terms.own[camera]] *= 1 - count
-        ends = []
-        for (number, _), place, mode in zip(ties, places, modes, strict=True):
-            own = terms.own.get(place[0], slice(-1, -1))
-            node = layout.first[graph.visits[number].visit.robot] + graph.node_of[number]
-            ends.append((node, layout.at[place], own.start, own.stop - own.start))
-            values[own] = self._own[mode, : own.stop - own.start]
-        ends = np.array(ends, _WHOLE).reshape(-1, 4)
+                information[own] = terms.information[own] * (1 - counts[camera])
+                ends[order, 2:] = own.start, own.stop - own.start
+                values[own] = self._own[modes[order], : own.stop - own.start]
         said = ends, self._seen[modes], self._information[modes], self._own[modes]
         poses = initial_poses(graph, layout, variant, *said[:2])
         factor, score, ways = Factor(), np.empty(2), list[_Way]()
@@ -155,8 +163,7 @@ class Minima:
     def _unbroken(
         self, robot: str, layout: Layout, nothing: frozenset[int], by_odometry: Steps
     ) -> _Way:
-        path, way = self.graph.paths[robot], self.graph.way(robot, nothing)
-        count = len(by_odometry.motion)
+        way, count = self.graph.way(robot, nothing), len(by_odometry.motion)
         ends = np.zeros((count, 4), _WHOLE)
         ends[:, 0] = layout.first[robot] + np.arange(count)
         ends[:, 1], ends[:, 2] = ends[:, 0] + 1, -1
@@ -168,7 +175,7 @@ class Minima:
             *(way.motion.rows(), way.by_scale),
             0.0,
         )
-        information = _whole(way.information, path.tangent)
+        information = way.information.copy()
         return _Way((ends, motion, information, by_scale, about), way.log_covariance)
 
     def _broken(self, way: _Way, robot: str, nothing: frozenset[int], gaps: list[int]) -> _Way:
@@ -176,18 +183,17 @@ class Minima:
         across the lift, or else unknown."""
         if not gaps:
             return way
-        path, room = self.graph.paths[robot], self.graph.room(self.graph.paths[robot])
+        anywhere, log_room = self._room[robot]
         ends, motion, information, by_scale, about = (part.copy() for part in way.terms)
         log_covariance = way.log_covariance.copy()
-        log_covariance[gaps] = np.log(room).sum()
+        log_covariance[gaps] = log_room
         for step in gaps:
             across = self.graph.across((robot, step), nothing)
             if across is None:  # only the prior of the room keeps it determined
-                ends[step, 3] = 1
-                information[step] = _whole(np.diag(1 / room)[None], path.tangent)[0]
+                ends[step, 3], information[step] = 1, anywhere
                 continue
             motion[step], by_scale[step], about[step] = across.motion.rows(), across.by_scale, 0.0
-            information[step] = _whole(across.information[None], path.tangent)[0]
+            information[step] = across.information
             log_covariance[step] += across.log_covariance - across.surprise
         return _Way((ends, motion, information, by_scale, about), log_covariance)
 
@@ -238,7 +244,7 @@ class Minima:
                 variance = np.full(len(variance), HELD**2)
             which.append(layout.first[robot])
             expected.append(path.odometry[0])
-            information.append(_whole(np.diag(1 / variance)[None], path.tangent)[0])
+            information.append(in_all_axes(np.diag(1 / variance), path.tangent))
         for order, (name, pose) in enumerate(graph.data.known.poses.items()):
             which.append(layout.at[name, 0])
             expected.append(pose)
@@ -248,10 +254,3 @@ class Minima:
             rows_of(expected),
             np.array(information).reshape(-1, 6, 6),
         )
-
-
-def _whole(information: Array, tangent: list[int]) -> Array:
-    """Return the information (m, 6, 6) of disturbances of which only some directions are free."""
-    whole = np.zeros((len(information), 6, 6))
-    whole[np.ix_(range(len(information)), tangent, tangent)] = information
-    return whole

@@ -42,7 +42,8 @@ class Steps(Struct, frozen=True):
 
 class RobotPath:
     """One robot's nodes, one for each moment: their poses by odometry (n), the information
-    (m, d, d) of the motions between them in the free directions, and ln |covariance| (m,)."""
+    (m, 6, 6) of the motions between them, nil where a direction is not free, and ln |covariance|
+    of the free ones (m,)."""
 
     def __init__(self, data: DataSet, robot: str, moments: list[int]) -> None:
         self.track = track = data.tracks[robot]
@@ -59,13 +60,13 @@ class RobotPath:
         if len(self.stamps_ns) > 1:
             whole = track.motion(self.stamps_ns, np.zeros(2)).covariance
             covariance = whole[:, self.tangent][:, :, self.tangent] + HELD**2 * np.eye(d)
-        self.information = np.linalg.inv(covariance)
+        self.information = in_all_axes(np.linalg.inv(covariance), self.tangent)
         self.log_covariance = np.linalg.slogdet(covariance)[1]
 
     def steps(self, scales: Array) -> Steps:
         """The motions for scale errors (2,), linearised so near them, at the closest multiples of
         `_SCALE_STEP`, that what the second order leaves is less than noise."""
-        cell = tuple(np.round(scales / _SCALE_STEP).astype(int).tolist())
+        cell = tuple(round(scale / _SCALE_STEP) for scale in scales.tolist())
         if cell not in self._steps:
             about = _SCALE_STEP * np.array(cell, dtype=float)
             if len(self.stamps_ns) > 1:
@@ -79,7 +80,7 @@ class RobotPath:
 
 class VisualStep(Struct, frozen=True):
     """A robot's motion between two nodes as visit `number` shows it, with its derivative (6, 2) by
-    the odometry's scale errors, its information (d, d) and ln |covariance|. `surprise`: where
+    the odometry's scale errors, its information (6, 6) and ln |covariance|. `surprise`: where
     odometry broke on the way, the part of the visit's own score that is due to that odometry."""
 
     number: int
@@ -91,7 +92,7 @@ class VisualStep(Struct, frozen=True):
 
 
 class Way(Struct, frozen=True):
-    """What odometry and visits tell of a path's steps (m): their `information` (m, d, d) and
+    """What odometry and visits tell of a path's steps (m): their `information` (m, 6, 6) and
     ln |covariance| (m,); the `steps` (k,) that visits show, with `motion` (k) and `by_scale`
     (k, 6, 2)."""
 
@@ -167,12 +168,12 @@ def watched_step(
     if np.linalg.eigvalsh(own)[0] < _LEAST_OWN:
         return None
     alone = root @ np.linalg.inv(own) @ root.T
-    more, whole = np.zeros(6), np.zeros((6, 6))
-    more[path.tangent], whole[free] = alone @ information @ error, alone + noise
+    more, spread = np.zeros(6), np.zeros((6, 6))
+    more[path.tangent], spread[free] = alone @ information @ error, alone + noise
     error = error + more[path.tangent]
     surprise = float(error @ np.linalg.solve(alone + noise, error))
     surprise += float(np.linalg.slogdet(alone + noise)[1])
-    seen = replace(seen, pose=seen.pose.disturbed(more), covariance=whole)
+    seen = replace(seen, pose=seen.pose.disturbed(more), covariance=spread)
     return replace(_visual_step(path, step, number, pictures, seen), surprise=surprise)
 
 
@@ -196,12 +197,20 @@ def _visual_step(
     begin, end = path.stamps_ns[step : step + 2].tolist()
     (first_ns, _), (last_ns, _) = pictures
     after = _chained(seen, _driven(path, last_ns, end))
-    whole = _chained(_driven(path, begin, first_ns), after)
-    covariance = whole.covariance[np.ix_(path.tangent, path.tangent)]
+    driven = _chained(_driven(path, begin, first_ns), after)
+    covariance = driven.covariance[np.ix_(path.tangent, path.tangent)]
     covariance = covariance + HELD**2 * np.eye(len(covariance))
     log_covariance = float(np.linalg.slogdet(covariance)[1])
-    information = np.linalg.inv(covariance)
-    return VisualStep(number, whole.pose, whole.by_scale, information, log_covariance)
+    information = in_all_axes(np.linalg.inv(covariance), path.tangent)
+    return VisualStep(number, driven.pose, driven.by_scale, information, log_covariance)
+
+
+def in_all_axes(information: Array, tangent: list[int]) -> Array:
+    """The information (..., 6, 6) of disturbances of which only the directions `tangent` (d) are
+    free, from that of these (..., d, d)."""
+    free = np.zeros((len(tangent), 6))
+    free[range(len(tangent)), tangent] = 1.0
+    return free.T @ information @ free
 
 
 class _Step(Struct, frozen=True):
@@ -220,9 +229,9 @@ def _moved(path: RobotPath, found: VisitModes, earlier: Picture, later: Picture)
     for other, _ in others:
         apart = other.difference(motion)[path.tangent]
         covariance = covariance + np.outer(apart, apart)
-    whole = np.zeros((6, 6))
-    whole[np.ix_(path.tangent, path.tangent)] = covariance
-    return _Step(motion, whole, np.zeros((6, 2)))
+    spread = np.zeros((6, 6))
+    spread[np.ix_(path.tangent, path.tangent)] = covariance
+    return _Step(motion, spread, np.zeros((6, 2)))
 
 
 def _driven(path: RobotPath, from_ns: int, to_ns: int) -> _Step:
