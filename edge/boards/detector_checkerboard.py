@@ -95,7 +95,7 @@ class CheckerboardDetector(FaceFinder):
             return None
         size = (grey.shape[1], grey.shape[0])
         still = in_view(found.fit, pattern.points[last.found.corners], size)
-        if len(found.corners) < TUNING.least_again * len(still):
+        if len(found.corners) < TUNING.least_again * still:
             return None
         is_there = weighed(grey, face, found.fit, found.corners, found.pixels).is_board
         return Located(last.look, found) if is_there else None
@@ -231,12 +231,11 @@ def _shown(grey: np.ndarray, face: Face) -> np.ndarray:
 def is_in_view(grey: np.ndarray, face: Face, fit: PlanarFit) -> bool:
     """Whether enough corners are in the picture at all: cheaper than to measure a board that is
     leaving it."""
-    seen = in_view(fit, face.corners[:, :2], (grey.shape[1], grey.shape[0]))
-    return len(seen) >= TUNING.least_share * face.corner_count
+    seen = in_view(fit, CornerPattern.of(face).points, (grey.shape[1], grey.shape[0]))
+    return seen >= TUNING.least_share * face.corner_count
 
 
 def _same_place(first: Located, second: Located) -> bool:
     """Whether two sightings are the same board, found from two grids."""
-    centre = first.found.pixels.mean(axis=0) - second.found.pixels.mean(axis=0)
-    spread = np.ptp(second.found.pixels, axis=0)
-    return bool(np.all(np.abs(centre) < 0.25 * spread))
+    apart = np.abs(first.found.middle - second.found.middle)
+    return bool(np.all(apart < 0.25 * second.found.extent))

@@ -18,8 +18,10 @@ constexpr int MOST_SIDE = LATTICE * (SIDE - 1) + 1 + 2 * EDGE + 2 * MOST_RADIUS;
 // Samples are drawn in eights, and rows explained in WIDTH pixels, the last ones beyond the end.
 constexpr int EIGHT = 8, MOST_WIDTH = EIGHT * ((MOST_SIDE + EIGHT - 1) / EIGHT);
 
+constexpr int BEYOND = LATTICE * WIDTH + EDGE;
+
 // A drawing on the lattice, row after row.
-using Drawing = std::array<float, MOST_SIDE * MOST_SIDE + LATTICE * WIDTH + EDGE>;
+using Drawing = std::array<float, MOST_SIDE * MOST_SIDE + BEYOND>;
 
 struct Texels {
     Eigen::Matrix3d from_face;
@@ -85,6 +87,9 @@ inline __attribute__((always_inline)) void soften_by(const Drawing& sharp, const
     constexpr int TAPS = 2 * RADIUS + 1;
     const int width = side + 2 * RADIUS;
     Drawing across;
+    // What a product with 0 is made of is a number.
+    std::fill_n(across.begin() + width * width - 2 * RADIUS, 2 * RADIUS, 0.0F);
+    std::fill_n(soft.begin() + side * width, BEYOND, 0.0F);
     for (int term = 0; term < kernel.terms; ++term) {
         filter<TAPS, false>(sharp.data(), 1, kernel.across[term], width * width - 2 * RADIUS,
                             across.data());
