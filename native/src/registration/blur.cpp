@@ -12,9 +12,9 @@ constexpr double LEAST_GAUSSIAN = 0.2;
 constexpr double MOST_RESPONSE = 1.0;
 // How far one change is trusted.
 const Eigen::Vector4d MOST_CHANGE(1.0, 1.0, 1.0, 0.5);
-// Of a kernel's shares, which together are 1, what its products may leave: a twentieth of a grey
+// Of a kernel's shares, which together are 1, what its products may leave: a tenth of a grey
 // level in a hundred.
-constexpr double LEFT_OVER = 5e-4;
+constexpr double LEFT_OVER = 1e-3;
 // Of a kernel, in its standard deviations.
 constexpr double REACH_SIGMAS = 2.6;
 

@@ -152,35 +152,49 @@ int see(const Line& line, const Surroundings& about, const std::uint8_t* grey, i
     return total;
 }
 
-// What explains the pixels of a patch's row `down`, by the softened drawing about it, in rows of
-// `below_it`, whether each
-// counts (1 or 0), the blur's response, and how much the light may rise from pixel to pixel.
+// What explains the pixels of a patch, by the softened drawing, `width` in memory, whether each
+// counts, which is its row ONE, the blur's response, and how much the light may rise from pixel to
+// pixel.
 TRIGPOINT_WIDE
-void explain(const float* __restrict soft, int below_it, const float* __restrict counts,
-             float response, float rise, int down, float* __restrict rows) {
-    constexpr int PLANE = SIDE * WIDTH;
-    const float middle = rise > 0 ? 0.5F : 0, rise_y = rise * static_cast<float>(down) - middle;
-    for (int i = 0; i < WIDTH; ++i) {
-        const float* at = soft + LATTICE * i;
-        const float one = counts[i], value = at[0], right = at[1], before = at[-1],
-                    below = at[below_it], above = at[-below_it], bump = value * (1 - value);
-        const float slope = one * (1 + response * (1 - 2 * value));
-        // To the fourth order, as blurred edges need; over one pixel alone a derivative comes out a
-        // twentieth too low, and a step as much too long.
-        rows[BY_X * PLANE + i] =
-            slope * ((right - before) * (4.0F / 3) - (at[2] - at[-2]) * (1.0F / 6));
-        rows[BY_Y * PLANE + i] = slope * ((below - above) * (4.0F / 3) -
-                                          (at[2 * below_it] - at[-2 * below_it]) * (1.0F / 6));
-        rows[VALUE * PLANE + i] = one * (value + response * bump);
-        // What a wider blur changes is half the second derivatives (the heat equation).
-        rows[XX * PLANE + i] = slope * (2 * (right + before - 2 * value));
-        rows[YY * PLANE + i] = slope * (2 * (below + above - 2 * value));
-        rows[XY * PLANE + i] =
-            slope * (at[below_it + 1] - at[below_it - 1] - at[1 - below_it] + at[-1 - below_it]);
-        rows[BUMP * PLANE + i] = one * bump;
-        rows[ONE * PLANE + i] = one;
-        rows[RISE_X * PLANE + i] = one * (rise * static_cast<float>(i) - middle);
-        rows[RISE_Y * PLANE + i] = one * rise_y;
+void explain(const Drawing& soft, int width, int side, float response, float rise, Patch& patch) {
+    // Every other value, so that pixels lie side by side.
+    constexpr int ROW = WIDTH + EDGE;
+    std::array<float, (LATTICE * SIDE + 2 * EDGE) * ROW> on_pixels, between;
+    for (int y = 0; y < LATTICE * (side - 1) + 1 + 2 * EDGE; ++y) {
+        const float* __restrict from = soft.data() + y * width;
+        float* __restrict even = on_pixels.data() + y * ROW, * __restrict odd =
+                                                                 between.data() + y * ROW;
+        for (int i = 0; i < ROW; ++i) even[i] = from[LATTICE * i], odd[i] = from[LATTICE * i + 1];
+    }
+    const float middle = rise > 0 ? 0.5F : 0;
+    for (int j = 0; j < side; ++j) {
+        constexpr int PLANE = SIDE * WIDTH;
+        const float rise_y = rise * static_cast<float>(j) - middle;
+        const float* __restrict even = on_pixels.data() + (LATTICE * j + EDGE) * ROW;
+        const float* __restrict odd = between.data() + (LATTICE * j + EDGE) * ROW;
+        float* __restrict rows = patch.rows[0].data() + j * WIDTH;
+        for (int i = 0; i < WIDTH; ++i) {
+            const float one = rows[ONE * PLANE + i], value = even[i + 1], right = odd[i + 1],
+                        before = odd[i], below = even[i + 1 + ROW], above = even[i + 1 - ROW],
+                        bump = value * (1 - value);
+            const float slope = one * (1 + response * (1 - 2 * value));
+            // To the fourth order, as blurred edges need; over one pixel alone a derivative comes
+            // out a twentieth too low, and a step as much too long.
+            rows[BY_X * PLANE + i] =
+                slope * ((right - before) * (4.0F / 3) - (even[i + 2] - even[i]) * (1.0F / 6));
+            rows[BY_Y * PLANE + i] =
+                slope * ((below - above) * (4.0F / 3) -
+                         (even[i + 1 + 2 * ROW] - even[i + 1 - 2 * ROW]) * (1.0F / 6));
+            rows[VALUE * PLANE + i] = one * (value + response * bump);
+            // What a wider blur changes is half the second derivatives (the heat equation).
+            rows[XX * PLANE + i] = slope * (2 * (right + before - 2 * value));
+            rows[YY * PLANE + i] = slope * (2 * (below + above - 2 * value));
+            rows[XY * PLANE + i] =
+                slope * (odd[i + 1 + ROW] - odd[i + 1 - ROW] - odd[i + ROW] + odd[i - ROW]);
+            rows[BUMP * PLANE + i] = one * bump;
+            rows[RISE_X * PLANE + i] = one * (rise * static_cast<float>(i) - middle);
+            rows[RISE_Y * PLANE + i] = one * rise_y;
+        }
     }
 }
 
@@ -291,18 +305,18 @@ void Drawer::draw(int id, const Eigen::Vector2d& pixel, const Eigen::Vector2d& n
     patch.count = side * WIDTH;
     int total = 0;
     for (int j = 0; j < side; ++j) {
-        std::array<float, WIDTH> counts{};
-        float *rows = patch.rows[0].data() + j * WIDTH, *seen = patch.rows[SEEN].data() + j * WIDTH;
+        float *counts = patch.rows[ONE].data() + j * WIDTH,
+              *seen = patch.rows[SEEN].data() + j * WIDTH;
         if (top + j >= 0 && top + j < part_.grey.height && begin < end) {
             total += see(texels.line(j - half_, -half_, 1), about, part_.grey.row(top + j) + left,
-                         begin, end, counts.data(), seen);
+                         begin, end, counts, seen);
         } else {
-            std::fill_n(seen, WIDTH, 0.0F);
+            std::fill_n(counts, WIDTH, 0.0F), std::fill_n(seen, WIDTH, 0.0F);
         }
-        explain(soft.data() + (LATTICE * j + EDGE) * width + EDGE, width, counts.data(), response_,
-                is_light_even ? 0.0F : 1.0F / static_cast<float>(side - 1), j, rows);
     }
     patch.total = total;
+    explain(soft, width, side, response_,
+            is_light_even ? 0.0F : 1.0F / static_cast<float>(side - 1), patch);
 }
 
 }  // namespace trigpoint
