@@ -15,7 +15,6 @@ from msgspec import Struct
 
 from trigpoint.edge.image.region import Region
 from trigpoint.edge.image.time_limit import IsOver, never
-from trigpoint.edge.image.workspace import Workspace
 from trigpoint.edge.registration.appearance import Appearance
 from trigpoint.edge.registration.corner_pattern import CornerPattern
 from trigpoint.edge.registration.finder import FaceFinder
@@ -43,8 +42,7 @@ class CheckerboardDetector(FaceFinder):
         self._longest = max(max(extent) for extent in extents)
         self._least = min(TUNING.least_share * width * height for width, height in extents)
         self._most = TUNING.most_boards_joined * max(width * height for width, height in extents)
-        self._searches = {1: GridSearch(), 2: GridSearch()}
-        self._space = Workspace()
+        self._searches = GridSearch(), GridSearch()
         for look in looks:  # drawn now, so that the first picture need not wait for it
             CornerPattern.of(look.face)
 
@@ -53,15 +51,16 @@ class CheckerboardDetector(FaceFinder):
     ) -> list[Located]:
         """The boards in a picture, or those in a part of it whose corners are joined at once; a
         second look at half the size is for blurred ones."""
+        whole, half = self._searches
         if within:
-            return self._search(within.of(grey), _Source(grey, within, 1), _Allowance(is_over, 0))
-        whole = Region.whole(grey)
-        found = self._search(grey, _Source(grey, whole, 1), _Allowance(is_over))
+            corners, source = whole.take(within.of(grey)), _Source(grey, within, 1)
+            return self._search(whole, corners, source, _Allowance(is_over, 0))
+        everything = Region.whole(grey)
+        source = _Source(grey, everything, 1)
+        found = self._search(whole, whole.take(grey), source, _Allowance(is_over))
         if not found and min(grey.shape) >= 64 and not is_over():
-            height, width = grey.shape
-            half = self._space.array("half", ((height + 1) // 2, (width + 1) // 2), np.uint8)
-            small = cv2.pyrDown(grey, dst=half)
-            found = self._search(small, _Source(grey, whole, 2), _Allowance(is_over))
+            source = _Source(grey, everything, 2)
+            found = self._search(half, half.take_half(whole), source, _Allowance(is_over))
         return found
 
     def follow(
@@ -101,12 +100,12 @@ class CheckerboardDetector(FaceFinder):
         return Located(last.look, found) if is_there else None
 
     def _search(
-        self, small: np.ndarray, source: "_Source", allowance: "_Allowance"
+        self, search: GridSearch, corners: int, source: "_Source", allowance: "_Allowance"
     ) -> list[Located]:
-        """The boards found in what was made of a picture, measured in that itself."""
+        """The boards found among so many corners of what was made of a picture, measured in that
+        itself."""
         is_over = allowance.is_over
-        search = self._searches[source.step]
-        if search.take(small) < self._least or is_over():
+        if corners < self._least or is_over():
             return []
         found: list[Located] = []
         joined = search.grids(TUNING.most_grids)
@@ -184,7 +183,7 @@ class _Source(Struct, frozen=True, eq=False):
         return -(-width // self.step), -(-height // self.step)
 
     def pixels(self, small: Array) -> Array:
-        """Where pixels (n, 2) of what was made lie in `grey`; pyrDown's (x, y) is (2x, 2y)."""
+        """Where pixels (n, 2) of what was made lie in `grey`; (x, y) at half the size is (2x, 2y)."""
         return small * self.step + self.part.corner
 
 

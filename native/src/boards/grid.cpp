@@ -64,8 +64,14 @@ public:
             const float most = reach >= whole ? INFINITY : sure * sure;
             const int from = std::max(column - reach, 0),
                       to = std::min(column + reach, columns_ - 1);
+            const int top = std::max(row - reach, 0), bottom = std::min(row + reach, rows_ - 1);
+            std::size_t held = 0;
+            for (int y = top; y <= bottom; ++y)
+                held += static_cast<std::size_t>(first_[y * columns_ + to + 1] -
+                                                 first_[y * columns_ + from]);
+            if (held <= NEAREST && reach < whole) continue;
             found_.clear();
-            for (int y = std::max(row - reach, 0); y <= std::min(row + reach, rows_ - 1); ++y) {
+            for (int y = top; y <= bottom; ++y) {
                 for (int i = first_[y * columns_ + from]; i < first_[y * columns_ + to + 1]; ++i) {
                     const float x_off = all_[i].pixel.x - here.x, y_off = all_[i].pixel.y - here.y;
                     const float squared = x_off * x_off + y_off * y_off;
@@ -78,7 +84,7 @@ public:
     }
 
 private:
-    static constexpr float A_CELL = 1.5F;  // corners, on average
+    static constexpr float A_CELL = 0.5F;  // corners, on average; they come in crowds
 
     struct Member {
         Place pixel;
