@@ -57,7 +57,6 @@ _MOVED = Kernel(
     _FIT,
     _FIT,
     In(np.float64, ("k", 2)),
-    In(np.int64, ("m",)),
     In(np.int64, ("n",)),
     In(np.float64, ("n", 2)),
     Out(np.float64, (10,)),
@@ -106,14 +105,13 @@ class Track(Struct, frozen=True, eq=False):
 
     def renewed(self, located: Located, stamp_ns: int) -> "Track":
         """The track of this face, located again."""
-        then, now = self.located.found, located.found
+        now = located.found
         change = np.empty(10)
         has_moved = len(now.corners) >= LEAST_CORNERS and _MOVED(
             now.fit.packed,
-            then.fit.packed,
+            self.located.found.fit.packed,
             self.fit_at(stamp_ns).packed,
             self.points,
-            then.corners,
             now.corners,
             now.pixels,
             change,
@@ -121,7 +119,7 @@ class Track(Struct, frozen=True, eq=False):
         if not has_moved:
             return Track(located, stamp_ns, None)
         a_second = change[:9] / ((stamp_ns - self.seen_ns) * 1e-9)
-        is_steady = self.change is None or change[9] < NEAR_PX
+        is_steady = self.change is None or bool(change[9] < NEAR_PX)
         return Track(located, stamp_ns, a_second, is_steady=is_steady)
 
 

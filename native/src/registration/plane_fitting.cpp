@@ -266,8 +266,7 @@ std::optional<PlanarFit> fit_plane(const PointsIn& points, const PointsIn& pixel
     const auto numbers = refined(problem, fit, has_lens && points.rows() > 4);
     if (!numbers) return std::nullopt;
     fit.homography = homography_of(*numbers) * problem.normalising();
-    // So it stays while a face moves without turning, and points are in front of the camera.
-    fit.homography *= std::copysign(1 / fit.homography.leftCols<2>().norm(), fit.homography(2, 2));
+    fit.homography /= fit.homography.norm();
     fit.radial = numbers->segment<2>(8), fit.aside = numbers->tail<2>();
     if (!has_bend) fit.bend = Bend{};
     if (!fit.homography.allFinite()) return std::nullopt;
