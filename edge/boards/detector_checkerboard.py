@@ -183,7 +183,7 @@ class _Source(Struct, frozen=True, eq=False):
         return -(-width // self.step), -(-height // self.step)
 
     def pixels(self, small: Array) -> Array:
-        """Where pixels (n, 2) of what was made lie in `grey`: (x, y) of half the size at (2x, 2y)."""
+        """Where pixels (n, 2) of what was made lie in `grey`; halved, (x, y) is (2x, 2y)."""
         return small * self.step + self.part.corner
 
 
