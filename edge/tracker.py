@@ -5,7 +5,6 @@ picture is searched if nothing is followed, and occasionally for new faces; the 
 followed faces are searched more often.
 """
 
-import math
 from collections.abc import Sequence
 
 import cv2
@@ -16,6 +15,7 @@ from msgspec.structs import replace
 from trigpoint.base.clock import Clock, SystemClock
 from trigpoint.contract.messages import FaceSighting
 from trigpoint.geometry.rotation import Array
+from trigpoint.native.library import In, Kernel, Out
 from trigpoint.site.target import Target
 
 from .detector import finders_for, misdescribed
@@ -23,10 +23,10 @@ from .image.median import median
 from .image.picture import as_grey
 from .image.region import Region, regions_around
 from .image.time_limit import IsOver
+from .registration.corner_pattern import CornerPattern
 from .registration.finder import FaceFinder
 from .registration.measurement import LEAST_CORNERS, Located
-from .registration.planar_fit import PlanarFit
-from .registration.plane_fitting import fit_plane
+from .registration.planar_fit import FIT, PlanarFit
 
 # How often the whole picture is searched while faces are followed.
 SEARCH_EVERY_NS = 500_000_000
@@ -50,12 +50,23 @@ LAST_BEGIN = 0.7
 # An outline that reaches further is a degenerate projection, pixels.
 _FAR_PX = 10_000
 _COARSE = 8
+_FIT = In(np.float64, (FIT,))
+_MOVED = Kernel(
+    "tp_moved",
+    _FIT,
+    _FIT,
+    _FIT,
+    In(np.float64, ("k", 2)),
+    In(np.int64, ("n",)),
+    In(np.float64, ("n", 2)),
+    Out(np.float64, (10,)),
+)
 
 
 class Track(Struct, frozen=True, eq=False):
-    """A followed face: the last detection, its time, and the change per second of its plane's
-    homography, (3, 3), as `_scaled`; None until seen twice. `misses`: later pictures in which it
-    was looked for in vain; `is_steady`: false if it was found away from its predicted place."""
+    """A followed face: the last detection, its time, and the change per second of its homography,
+    (9,); None until seen twice. `misses`: later pictures in which it was looked for in vain;
+    `is_steady`: false if it was found away from its predicted place."""
 
     located: Located
     seen_ns: int
@@ -63,17 +74,23 @@ class Track(Struct, frozen=True, eq=False):
     misses: int = 0
     is_steady: bool = True
 
-    def reach_px(self, stamp_ns: int) -> float:
+    def reach_px(self, expected: PlanarFit) -> float:
         """Search radius around its predicted place."""
         if self.change is None:
             return UNKNOWN_REACH_PX
-        moved = self.pixels_at(stamp_ns) - self.located.found.pixels
+        moved = expected.project(self.seen_points) - self.located.found.pixels
         way = REACH_SHARE * float(np.linalg.norm(moved.mean(axis=0)))
         return min(LEAST_REACH_PX + way, MOST_REACH_PX)
 
-    def pixels_at(self, stamp_ns: int) -> Array:
-        """Its corners predicted for that time, (n, 2)."""
-        return self.fit_at(stamp_ns).project(_points(self.located))
+    @property
+    def points(self) -> Array:
+        """The corners in the face frame, (n, 2)."""
+        return CornerPattern.of(self.located.look.face).points
+
+    @property
+    def seen_points(self) -> Array:
+        """Those that were seen."""
+        return self.points[self.located.found.corners]
 
     def fit_at(self, stamp_ns: int) -> PlanarFit:
         """The plane predicted for that time.
@@ -84,8 +101,26 @@ class Track(Struct, frozen=True, eq=False):
         fit = self.located.found.fit
         if self.change is None:
             return fit
-        seconds = (stamp_ns - self.seen_ns) * 1e-9
-        return replace(fit, homography=_scaled(fit.homography) + seconds * self.change)
+        return fit.moved((stamp_ns - self.seen_ns) * 1e-9 * self.change)
+
+    def renewed(self, located: Located, stamp_ns: int) -> "Track":
+        """The track of this face, located again."""
+        now = located.found
+        change = np.empty(10)
+        has_moved = len(now.corners) >= LEAST_CORNERS and _MOVED(
+            now.fit.packed,
+            self.located.found.fit.packed,
+            self.fit_at(stamp_ns).packed,
+            self.points,
+            now.corners,
+            now.pixels,
+            change,
+        )
+        if not has_moved:
+            return Track(located, stamp_ns, None)
+        a_second = change[:9] / ((stamp_ns - self.seen_ns) * 1e-9)
+        is_steady = self.change is None or bool(change[9] < NEAR_PX)
+        return Track(located, stamp_ns, a_second, is_steady=is_steady)
 
 
 class TargetTracker:
@@ -130,7 +165,8 @@ class TargetTracker:
         grey = as_grey(picture)
         budget = _Budget(self._clock, self._budget_ns)
         self._forget(grey.shape, stamp_ns)
-        found = self._followed(grey, stamp_ns, budget.is_over)
+        followed = self._followed(grey, stamp_ns, budget.is_over)
+        found = [located for _, located in followed]
         if self._is_search_due(stamp_ns, found):
             self._searched_ns = stamp_ns
             found = self._searched(grey, found, None, budget.is_over)
@@ -139,7 +175,7 @@ class TargetTracker:
             for region in regions_around(_outlines(found), grey.shape):
                 found = self._searched(grey, found, region, budget.is_over)
             self._looked_ns, self._outlines = stamp_ns, _outlines(found)
-        self._tracks = self._renewed(found, stamp_ns)
+        self._tracks = self._renewed(followed, found[len(followed) :], stamp_ns)
         self.given_up += budget.was_over
         return tuple(located.sighting for located in found)
 
@@ -166,14 +202,16 @@ class TargetTracker:
             for outline in _outlines(found)
         )
 
-    def _followed(self, grey: np.ndarray, stamp_ns: int, is_over: IsOver) -> list[Located]:
+    def _followed(
+        self, grey: np.ndarray, stamp_ns: int, is_over: IsOver
+    ) -> list[tuple[Track, Located]]:
         """The followed faces, found within reach of their predictions."""
-        found: list[Located] = []
+        followed: list[tuple[Track, Located]] = []
         for track in self._tracks:
             located = self._where_expected(grey, track, stamp_ns, is_over)
-            if located is not None and not _is_among(located, found):
-                found.append(located)
-        return found
+            if located is not None and not _is_among(located, [other for _, other in followed]):
+                followed.append((track, located))
+        return followed
 
     def _where_expected(
         self, grey: np.ndarray, track: Track, stamp_ns: int, is_over: IsOver
@@ -184,7 +222,7 @@ class TargetTracker:
         for is_there in (True, False) if is_sure else (False,):
             if is_over():
                 break
-            reach = 0.0 if is_there else track.reach_px(stamp_ns)
+            reach = 0.0 if is_there else track.reach_px(fit)
             located = self._finder(last).follow(grey, last, fit, reach_px=reach, is_over=is_over)
             if located is not None:
                 return located
@@ -203,15 +241,19 @@ class TargetTracker:
             found += [located for located in new if not _is_among(located, found)]
         return found
 
-    def _renewed(self, found: list[Located], stamp_ns: int) -> list[Track]:
-        """Tracks of the faces just found, and of those just missed."""
-        tracks = []
-        left = list(self._tracks)
-        for located in found:
+    def _renewed(
+        self, followed: list[tuple[Track, Located]], new: list[Located], stamp_ns: int
+    ) -> list[Track]:
+        """Tracks of the faces followed, of those that a search found, and of those just missed."""
+        tracks = [track.renewed(located, stamp_ns) for track, located in followed]
+        left = [t for t in self._tracks if all(t is not track for track, _ in followed)]
+        for located in new:
             last = next((t for t in left if _is_same(t, located, stamp_ns)), None)
-            if last is not None:
+            if last is None:
+                tracks.append(Track(located, stamp_ns, None))
+            else:
                 left.remove(last)
-            tracks.append(_renewed_track(last, located, stamp_ns))
+                tracks.append(last.renewed(located, stamp_ns))
         return tracks + [replace(t, misses=t.misses + 1) for t in left if t.misses < MOST_MISSES]
 
     def _finder(self, located: Located) -> FaceFinder:
@@ -240,62 +282,25 @@ class _Budget:
 
 def _is_among(located: Located, found: Sequence[Located]) -> bool:
     """Whether a face is one of these: the only one of its look, or in the same place."""
-    middle = located.found.pixels.mean(axis=0)
     for other in found:
         if other.look is not located.look:
             continue
-        near = np.abs(other.found.pixels.mean(axis=0) - middle)
-        if located.look.is_unique or np.all(near < 0.25 * np.ptp(other.found.pixels, axis=0)):
+        near = np.abs(other.found.middle - located.found.middle)
+        if located.look.is_unique or np.all(near < 0.25 * other.found.extent):
             return True
     return False
 
 
 def _is_same(track: Track, located: Located, stamp_ns: int) -> bool:
-    """Whether a located face belongs to a track."""
+    """Whether a face that a search found belongs to a track."""
     if track.located.look is not located.look:
         return False
     if located.look.is_unique:
         return True
-    expected = track.pixels_at(stamp_ns).mean(axis=0)
-    off = located.found.fit.project(_points(track.located)).mean(axis=0) - expected
-    reach = 0.5 * np.ptp(track.located.found.pixels, axis=0) + LEAST_REACH_PX
-    return bool(np.all(np.abs(off) < reach))
-
-
-def _renewed_track(last: Track | None, located: Located, stamp_ns: int) -> Track:
-    """The new track of a face just located; `last`: its track until now."""
-    if last is None or len(located.found.corners) < LEAST_CORNERS:
-        return Track(located, stamp_ns, None)
-    now = located.found.fit
-    before = _with_lens_of(now, last.located)
-    if before is None:
-        return Track(located, stamp_ns, None)
-    seconds = (stamp_ns - last.seen_ns) * 1e-9
-    change = (_scaled(now.homography) - _scaled(before.homography)) / seconds
-    expected = last.fit_at(stamp_ns).residuals(_points(located), located.found.pixels)
-    is_steady = last.change is None or median(expected) < NEAR_PX
-    return Track(located, stamp_ns, change, is_steady=is_steady)
-
-
-def _with_lens_of(fit: PlanarFit, located: Located) -> PlanarFit | None:
-    """Where a face lies, by a fit of the same lens and bend as `fit`; None where there is none."""
-    own = located.found.fit
-    if fit.bend is own.bend is None and np.array_equal(fit.lens, own.lens):
-        return own
-    points = located.look.face.corners[:, :2]
-    return fit_plane(points, own.project(points), fit.size, has_lens=False, start=fit)
-
-
-def _points(located: Located) -> Array:
-    """The seen corners in the face frame, (n, 2)."""
-    return located.look.face.corners[located.found.corners, :2]
-
-
-def _scaled(homography: Array) -> Array:
-    """The homography scaled so that its first two columns together have length 1, which stays so
-    while a face moves without turning, and points are in front of the camera."""
-    across = homography[:, :2].ravel()
-    return homography * math.copysign(1 / math.sqrt(across @ across), homography[2, 2])
+    points = track.seen_points
+    off = located.found.fit.project(points) - track.fit_at(stamp_ns).project(points)
+    reach = 0.5 * track.located.found.extent + LEAST_REACH_PX
+    return bool(np.all(np.abs(off.mean(axis=0)) < reach))
 
 
 def _covered(grey: np.ndarray, found: Sequence[Located]) -> np.ndarray:

@@ -15,7 +15,6 @@ from msgspec import Struct
 
 from trigpoint.edge.image.region import Region
 from trigpoint.edge.image.time_limit import IsOver, never
-from trigpoint.edge.image.workspace import Workspace
 from trigpoint.edge.registration.appearance import Appearance
 from trigpoint.edge.registration.corner_pattern import CornerPattern
 from trigpoint.edge.registration.finder import FaceFinder
@@ -43,8 +42,7 @@ class CheckerboardDetector(FaceFinder):
         self._longest = max(max(extent) for extent in extents)
         self._least = min(TUNING.least_share * width * height for width, height in extents)
         self._most = TUNING.most_boards_joined * max(width * height for width, height in extents)
-        self._searches = {1: GridSearch(), 2: GridSearch()}
-        self._space = Workspace()
+        self._searches = GridSearch(), GridSearch()
         for look in looks:  # drawn now, so that the first picture need not wait for it
             CornerPattern.of(look.face)
 
@@ -53,15 +51,16 @@ class CheckerboardDetector(FaceFinder):
     ) -> list[Located]:
         """The boards in a picture, or those in a part of it whose corners are joined at once; a
         second look at half the size is for blurred ones."""
+        whole, half = self._searches
         if within:
-            return self._search(within.of(grey), _Source(grey, within, 1), _Allowance(is_over, 0))
-        whole = Region.whole(grey)
-        found = self._search(grey, _Source(grey, whole, 1), _Allowance(is_over))
+            corners, source = whole.take(within.of(grey)), _Source(grey, within, 1)
+            return self._search(whole, corners, source, _Allowance(is_over, 0))
+        everything = Region.whole(grey)
+        source = _Source(grey, everything, 1)
+        found = self._search(whole, whole.take(grey), source, _Allowance(is_over))
         if not found and min(grey.shape) >= 64 and not is_over():
-            height, width = grey.shape
-            half = self._space.array("half", ((height + 1) // 2, (width + 1) // 2), np.uint8)
-            small = cv2.pyrDown(grey, dst=half)
-            found = self._search(small, _Source(grey, whole, 2), _Allowance(is_over))
+            source = _Source(grey, everything, 2)
+            found = self._search(half, half.take_half(whole), source, _Allowance(is_over))
         return found
 
     def follow(
@@ -95,18 +94,18 @@ class CheckerboardDetector(FaceFinder):
             return None
         size = (grey.shape[1], grey.shape[0])
         still = in_view(found.fit, pattern.points[last.found.corners], size)
-        if len(found.corners) < TUNING.least_again * len(still):
+        if len(found.corners) < TUNING.least_again * still:
             return None
         is_there = weighed(grey, face, found.fit, found.corners, found.pixels).is_board
         return Located(last.look, found) if is_there else None
 
     def _search(
-        self, small: np.ndarray, source: "_Source", allowance: "_Allowance"
+        self, search: GridSearch, corners: int, source: "_Source", allowance: "_Allowance"
     ) -> list[Located]:
-        """The boards found in what was made of a picture, measured in that itself."""
+        """The boards found among so many corners of what was made of a picture, measured in that
+        itself."""
         is_over = allowance.is_over
-        search = self._searches[source.step]
-        if search.take(small) < self._least or is_over():
+        if corners < self._least or is_over():
             return []
         found: list[Located] = []
         joined = search.grids(TUNING.most_grids)
@@ -184,7 +183,7 @@ class _Source(Struct, frozen=True, eq=False):
         return -(-width // self.step), -(-height // self.step)
 
     def pixels(self, small: Array) -> Array:
-        """Where pixels (n, 2) of what was made lie in `grey`; pyrDown's (x, y) is (2x, 2y)."""
+        """Where pixels (n, 2) of what was made lie in `grey`; halved, (x, y) is (2x, 2y)."""
         return small * self.step + self.part.corner
 
 
@@ -231,12 +230,11 @@ def _shown(grey: np.ndarray, face: Face) -> np.ndarray:
 def is_in_view(grey: np.ndarray, face: Face, fit: PlanarFit) -> bool:
     """Whether enough corners are in the picture at all: cheaper than to measure a board that is
     leaving it."""
-    seen = in_view(fit, face.corners[:, :2], (grey.shape[1], grey.shape[0]))
-    return len(seen) >= TUNING.least_share * face.corner_count
+    seen = in_view(fit, CornerPattern.of(face).points, (grey.shape[1], grey.shape[0]))
+    return seen >= TUNING.least_share * face.corner_count
 
 
 def _same_place(first: Located, second: Located) -> bool:
     """Whether two sightings are the same board, found from two grids."""
-    centre = first.found.pixels.mean(axis=0) - second.found.pixels.mean(axis=0)
-    spread = np.ptp(second.found.pixels, axis=0)
-    return bool(np.all(np.abs(centre) < 0.25 * spread))
+    apart = np.abs(first.found.middle - second.found.middle)
+    return bool(np.all(apart < 0.25 * second.found.extent))

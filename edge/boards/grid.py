@@ -19,6 +19,7 @@ class _Curvature(Handle):
 
 GRID = In(np.float64, ("n", 5))  # as `Grid.rows`
 _SADDLES = Kernel("tp_saddles", _Curvature, In(np.uint8, ("h", "w")))
+_HALF_SADDLES = Kernel("tp_half_saddles", _Curvature, _Curvature)
 _GRIDS = Kernel("tp_grids", _Curvature, Out(np.float64, ("n", 5)), Out(np.float64, ("m",)))
 _CLEANED = Kernel("tp_cleaned", GRID, Out(np.float64, ("n", 5)))
 _GROWN = Kernel("tp_grown", _Curvature, GRID, int, Out(np.float64, ("m", 5)))
@@ -79,6 +80,11 @@ class GridSearch:
     def take(self, grey: np.ndarray) -> int:
         """Look at a grey picture, (height, width) uint8; how many X corners it has."""
         return _SADDLES(self._curvature, np.ascontiguousarray(grey))
+
+    def take_half(self, finer: "GridSearch") -> int:
+        """Look at another's last picture at half its size, whose (x, y) is (2x, 2y) of it; how many
+        X corners it has."""
+        return _HALF_SADDLES(self._curvature, finer._curvature)
 
     def grids(self, most: int | None = None) -> list[Grid]:
         """The grids of enough corners in the last picture, the largest first; all, or `most`."""

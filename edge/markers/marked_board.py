@@ -117,7 +117,7 @@ class MarkedBoard(Struct, frozen=True, eq=False):
             return None
         size = (grey.shape[1], grey.shape[0])
         still = in_view(found.fit, self.pattern.points[last.corners], size)
-        if len(found.corners) < LEAST_AGAIN * len(still):
+        if len(found.corners) < LEAST_AGAIN * still:
             return None
         quads = self._placed(found.fit)
         numbers = np.flatnonzero(_are_inside(grey, quads))

@@ -39,7 +39,7 @@ class CornerPattern(Struct, frozen=True, eq=False):
     @cache
     def of(cls, face: Face) -> "CornerPattern":
         """The pattern of any face."""
-        points = face.corners[:, :2]
+        points = np.ascontiguousarray(face.corners[:, :2])
         outward = np.zeros_like(points)
         reach = 0.5 * face.square
         if face.pattern is Pattern.APRILGRID:
@@ -54,7 +54,7 @@ class CornerPattern(Struct, frozen=True, eq=False):
 def _core(face: Face, points: Array, outward: Array, reach: float) -> Print:
     """The same for the core, with what is printed at every level."""
     pattern = Print()
-    _SET(pattern, np.ascontiguousarray(points), outward, reach, face.square)
+    _SET(pattern, points, outward, reach, face.square)
     for printed in printed_patterns(face):
         _PRINT(pattern, printed.texels, printed.scale, *printed.offset.tolist())
     return pattern

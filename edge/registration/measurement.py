@@ -16,7 +16,6 @@ from .planar_fit import FIT, PlanarFit
 from .template_search import found_by_template
 
 LEAST_CORNERS = 4
-_MARGIN_PX = 2.0
 # A face that lies so near where it was expected also looks as expected, and is found to a third
 # of a pixel; else its size and slant are off too.
 SURE_PX = 2.0
@@ -34,6 +33,7 @@ _MEASURED = Kernel(
     Out(np.float64, (5,)),
     Out(np.float64, (FIT,)),
 )
+_IN_VIEW = Kernel("tp_in_view", In(np.float64, (FIT,)), In(np.float64, ("n", 2)), int, int)
 
 
 class Measured(Struct, frozen=True):
@@ -45,6 +45,16 @@ class Measured(Struct, frozen=True):
     sigma: float
     blur: Blur
     fit: PlanarFit
+
+    @property
+    def middle(self) -> Array:
+        """The mean of the pixels, (2,)."""
+        return np.add.reduce(self.pixels) / len(self.pixels)
+
+    @property
+    def extent(self) -> Array:
+        """The pixels' width and height, (2,)."""
+        return np.maximum.reduce(self.pixels) - np.minimum.reduce(self.pixels)
 
 
 class Located(Struct, frozen=True):
@@ -99,7 +109,7 @@ def measured(
         pixels[:seen],
         float(numbers[0]),
         Blur(numbers[1:4].copy(), float(numbers[4])),
-        PlanarFit.unpacked(found),
+        PlanarFit(found),
     )
 
 
@@ -118,8 +128,6 @@ def placed_again(
     return there, median(aside) > SURE_PX
 
 
-def in_view(fit: PlanarFit, points: Array, size: tuple[int, int]) -> np.ndarray:
-    """Which points (n, 2) of a face lie in the picture, indices (k,)."""
-    pixels = fit.project(points)
-    limit = np.array(size) - 1 - _MARGIN_PX
-    return np.flatnonzero(np.all((pixels > _MARGIN_PX) & (pixels < limit), axis=-1))
+def in_view(fit: PlanarFit, points: Array, size: tuple[int, int]) -> int:
+    """How many points (n, 2) of a face lie in the picture."""
+    return _IN_VIEW(fit.packed, points, *size)

@@ -34,7 +34,7 @@ def fit_plane(
     found = np.empty(FIT)
     ends = np.ascontiguousarray(points, float), np.ascontiguousarray(pixels, float)
     is_found = _FIT_PLANE(*ends, start_of(size, start), start is not None, has_lens, found)
-    return PlanarFit.unpacked(found) if is_found else None
+    return PlanarFit(found) if is_found else None
 
 
 def settled_fit(
@@ -50,7 +50,7 @@ def settled_fit(
     found = np.empty(FIT)
     ends = np.ascontiguousarray(points, float), np.ascontiguousarray(pixels, float)
     is_found = _SETTLED(*ends, start_of(size, start), start is not None, enough_px, found)
-    return PlanarFit.unpacked(found) if is_found else None
+    return PlanarFit(found) if is_found else None
 
 
 def scatter_about(fit: PlanarFit, points: Array, pixels: Array) -> tuple[float, int]:
@@ -64,7 +64,4 @@ def scatter_about(fit: PlanarFit, points: Array, pixels: Array) -> tuple[float, 
 
 def start_of(size: tuple[int, int], start: PlanarFit | None) -> Array:
     """Where a fit begins, for the core: at `start`, or at a picture's size alone."""
-    if start is not None:
-        return start.packed
-    centre, scale = (np.array(size, dtype=float) - 1) / 2, float(np.hypot(*size)) / 2
-    return PlanarFit(np.eye(3), np.zeros(2), centre, scale).packed
+    return (start or PlanarFit.of_size(size)).packed

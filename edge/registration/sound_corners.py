@@ -58,4 +58,4 @@ def sound_corners(
         keep,
         found,
     )
-    return keep > 0, PlanarFit.unpacked(found) if is_found else None
+    return keep > 0, PlanarFit(found) if is_found else None

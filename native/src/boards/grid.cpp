@@ -34,7 +34,8 @@ public:
         int corner;
     };
 
-    explicit Cells(const std::vector<Saddle>& saddles) : all_(saddles.size()) {
+    explicit Cells(const std::vector<Saddle>& saddles)
+        : all_(saddles.size()), found_(saddles.size() + 1) {
         Place low = saddles[0].pixel, high = low;
         for (const Saddle& saddle : saddles) {
             low = {std::min(low.x, saddle.pixel.x), std::min(low.y, saddle.pixel.y)};
@@ -53,9 +54,15 @@ public:
             all_[next[cell(saddles[i].pixel)]++] = {saddles[i].pixel, static_cast<int>(i)};
     }
 
-    // The NEAREST corners of one and, in no order, others that are further; with where they lie
-    // from it.
-    const std::vector<Near>& about(int corner, Place here) {
+    struct Nears {
+        const Near *first, *last;
+
+        const Near* begin() const { return first; }
+        const Near* end() const { return last; }
+    };
+
+    // The NEAREST corners of one, in no order, with where they lie from it.
+    Nears about(int corner, Place here) {
         const int column = column_of(here.x), row = row_of(here.y);
         const int whole = std::max(columns_, rows_);
         for (int reach = 1;; ++reach) {
@@ -64,21 +71,36 @@ public:
             const float most = reach >= whole ? INFINITY : sure * sure;
             const int from = std::max(column - reach, 0),
                       to = std::min(column + reach, columns_ - 1);
-            found_.clear();
-            for (int y = std::max(row - reach, 0); y <= std::min(row + reach, rows_ - 1); ++y) {
+            const int top = std::max(row - reach, 0), bottom = std::min(row + reach, rows_ - 1);
+            std::size_t held = 0;
+            for (int y = top; y <= bottom; ++y)
+                held += static_cast<std::size_t>(first_[y * columns_ + to + 1] -
+                                                 first_[y * columns_ + from]);
+            // Three quarters of the cells' corners are near enough.
+            if (3 * held < 4 * NEAREST && reach < whole) continue;
+            Near* end = found_.data();
+            for (int y = top; y <= bottom; ++y) {
                 for (int i = first_[y * columns_ + from]; i < first_[y * columns_ + to + 1]; ++i) {
                     const float x_off = all_[i].pixel.x - here.x, y_off = all_[i].pixel.y - here.y;
                     const float squared = x_off * x_off + y_off * y_off;
-                    if (squared <= most && all_[i].corner != corner)
-                        found_.push_back({squared, x_off, y_off, all_[i].corner});
+                    *end = {squared, x_off, y_off, all_[i].corner};
+                    end += (squared <= most) & (all_[i].corner != corner);
                 }
             }
-            if (reach >= whole || found_.size() >= NEAREST) return found_;
+            const auto count = static_cast<std::size_t>(end - found_.data());
+            if (count < NEAREST && reach < whole) continue;
+            if (count > NEAREST) {
+                end = found_.data() + NEAREST;
+                std::nth_element(
+                    found_.data(), end, found_.data() + count,
+                    [](const Near& a, const Near& b) { return a.squared < b.squared; });
+            }
+            return {found_.data(), end};
         }
     }
 
 private:
-    static constexpr float A_CELL = 1.5F;  // corners, on average
+    static constexpr float A_CELL = 0.7F;  // corners, on average; they come in crowds
 
     struct Member {
         Place pixel;
@@ -122,7 +144,7 @@ std::vector<Links> chosen(const std::vector<Saddle>& saddles) {
     Cells cells(saddles);
     std::vector<Links> links(saddles.size());
     for (std::size_t i = 0; i < saddles.size(); ++i) {
-        const auto& about = cells.about(static_cast<int>(i), saddles[i].pixel);
+        const auto about = cells.about(static_cast<int>(i), saddles[i].pixel);
         std::array<float, 4> least;
         least.fill(INFINITY);
         for (const auto& near : about) {
@@ -132,13 +154,6 @@ std::vector<Links> chosen(const std::vector<Saddle>& saddles) {
             if (behind < 0 || (ahead + behind) % 2 == 0) continue;
             links[i][ahead] = {near.corner, behind};
             least[ahead] = near.squared;
-        }
-        for (int k = 0; k < 4; ++k) {
-            if (links[i][k].to < 0) continue;
-            const auto nearer = std::count_if(about.begin(), about.end(), [&](const auto& near) {
-                return near.squared < least[k];
-            });
-            if (nearer >= static_cast<std::ptrdiff_t>(NEAREST)) links[i][k] = {};
         }
     }
     return links;

@@ -77,6 +77,11 @@ void widen(const std::uint8_t* __restrict from, float* __restrict to, std::int64
     for (std::int64_t x = 0; x < count; ++x) to[x] = from[x];
 }
 
+TRIGPOINT_WIDE
+void halve(const float* __restrict from, float* __restrict to, std::int64_t count) {
+    for (std::int64_t x = 0; x < count; ++x) to[x] = from[2 * x];
+}
+
 // Smooth along a row; `from` has REACH more on both sides of its `count`.
 TRIGPOINT_WIDE
 void blur_across(const float* __restrict from, float* __restrict to, std::int64_t count) {
@@ -142,14 +147,29 @@ float crossing(const std::array<float, HALF>& above, bool upwards) {
 }  // namespace
 
 void Curvature::take(const Grey& grey) {
-    width_ = grey.width, height_ = grey.height;
+    if (!begin(grey.width, grey.height)) return;
+    smooth([&](std::int64_t y, float* row) { widen(grey.row(y), row, width_); });
+    keep_saddles();
+}
+
+void Curvature::take_half(const Curvature& finer) {
+    if (!begin((finer.width_ + 1) / 2, (finer.height_ + 1) / 2)) return;
+    smooth([&](std::int64_t y, float* row) {
+        halve(finer.smooth_.data() + 2 * y * finer.width_, row, width_);
+    });
+    keep_saddles();
+}
+
+bool Curvature::begin(std::int64_t width, std::int64_t height) {
+    width_ = width, height_ = height;
     candidates_.clear();
     saddles_.clear();
-    if (width_ <= 2 * MARGIN || height_ <= 2 * MARGIN) {
-        width_ = height_ = 0;
-        return;
-    }
-    smooth(grey);
+    if (width_ > 2 * MARGIN && height_ > 2 * MARGIN) return true;
+    width_ = height_ = 0;
+    return false;
+}
+
+void Curvature::keep_saddles() {
     if (candidates_.size() > MOST_CANDIDATES) {
         std::nth_element(candidates_.begin(), candidates_.begin() + MOST_CANDIDATES,
                          candidates_.end(),
@@ -165,7 +185,8 @@ void Curvature::take(const Grey& grey) {
     saddles_.resize(std::min(saddles_.size(), MOST_SADDLES));
 }
 
-void Curvature::smooth(const Grey& grey) {
+template <class Put>
+void Curvature::smooth(const Put& put) {
     constexpr std::int64_t KEPT = 2 * REACH + 2;
     padded_.resize(width_ + 2 * REACH);
     across_.resize(KEPT * width_);
@@ -176,7 +197,7 @@ void Curvature::smooth(const Grey& grey) {
     for (std::int64_t y = 0; y < height_ + REACH + 3; ++y) {
         if (y < height_) {
             float* row = padded_.data() + REACH;
-            widen(grey.row(y), row, width_);
+            put(y, row);
             for (std::int64_t x = 1; x <= REACH; ++x) {
                 row[-x] = row[x];
                 row[width_ - 1 + x] = row[width_ - 1 - x];

@@ -34,6 +34,8 @@ class Curvature {
 public:
     // Smooth a picture, and find the X corners in it.
     void take(const Grey& grey);
+    // The same with another's picture at half the size: pixel (x, y) is its smooth (2 x, 2 y).
+    void take_half(const Curvature& finer);
     // The X corners, the strongest first.
     const std::vector<Saddle>& saddles() const { return saddles_; }
     // The X corner nearest to a place, moved to the saddle by one Newton step; whether there is
@@ -52,7 +54,12 @@ private:
         float xx, yy, xy;
     };
 
-    void smooth(const Grey& grey);
+    // Begins with a picture of that size; whether it is large enough.
+    bool begin(std::int64_t width, std::int64_t height);
+    // Smooths the picture whose row y `put` puts into place, and finds what may be corners.
+    template <class Put>
+    void smooth(const Put& put);
+    void keep_saddles();
     void peaks(std::int64_t y);
     float* strength(std::int64_t y) { return strength_.data() + (y % 5) * width_; }
     Bends bends(std::int64_t x, std::int64_t y) const;

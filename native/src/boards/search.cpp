@@ -77,6 +77,15 @@ TRIGPOINT_KERNEL(tp_saddles) {
     return static_cast<std::int64_t>(curvature.saddles().size());
 }
 
+// (curvature, finer curvature): how many X corners the other's picture has at half its size.
+TRIGPOINT_KERNEL(tp_half_saddles) {
+    auto& curvature = *static_cast<Curvature*>(arguments[0].object);
+    if (arguments[0].object == arguments[1].object)
+        throw std::invalid_argument("a picture is not halved in its own place");
+    curvature.take_half(*static_cast<const Curvature*>(arguments[1].object));
+    return static_cast<std::int64_t>(curvature.saddles().size());
+}
+
 // (curvature, corners (n, 5), sizes (m,)): how many grids the last picture's X corners form, the
 // largest first; their corners one after the other, and how many each has.
 TRIGPOINT_KERNEL(tp_grids) {

@@ -24,26 +24,35 @@ constexpr double SCRATCHED_SHARE = 0.07;
 constexpr double MOST_UNEXPLAINED = 0.3, NOISE_POWER = 40.0;
 constexpr double WHITE = 255, TINY = 1e-6;
 
-// Products of all rows of a patch with each other, the lower half. Eight sums for each, so that
-// every machine adds in the same order.
-TRIGPOINT_WIDE
-void add_products(const Patch& patch, float (&products)[ROWS][ROWS]) {
+// Products of a row of a patch with itself and those before. Eight sums for each, so that every
+// machine adds in the same order.
+template <int I>
+inline __attribute__((always_inline)) void add_row(const Patch& patch, float (&products)[ROWS]) {
     using Eight = float __attribute__((vector_size(32)));
-    for (int i = 0; i < ROWS; ++i) {
-        Eight sums[ROWS] = {};
-        for (int p = 0; p < patch.count; p += 8) {
-            Eight first, second;
-            std::memcpy(&first, patch.rows[i].data() + p, sizeof(first));
-            for (int j = 0; j <= i; ++j) {
-                std::memcpy(&second, patch.rows[j].data() + p, sizeof(second));
-                sums[j] += first * second;
-            }
-        }
-        for (int j = 0; j <= i; ++j) {
-            const Eight& s = sums[j];
-            products[i][j] = ((s[0] + s[4]) + (s[2] + s[6])) + ((s[1] + s[5]) + (s[3] + s[7]));
+    Eight sums[I + 1] = {};
+    for (int p = 0; p < patch.count; p += 8) {
+        Eight first, second;
+        std::memcpy(&first, patch.rows[I].data() + p, sizeof(first));
+        for (int j = 0; j <= I; ++j) {
+            std::memcpy(&second, patch.rows[j].data() + p, sizeof(second));
+            sums[j] += first * second;
         }
     }
+    for (int j = 0; j <= I; ++j) {
+        const Eight& s = sums[j];
+        products[j] = ((s[0] + s[4]) + (s[2] + s[6])) + ((s[1] + s[5]) + (s[3] + s[7]));
+    }
+}
+
+// Products of all rows of a patch with each other, the lower half.
+TRIGPOINT_WIDE
+void add_products(const Patch& patch, float (&products)[ROWS][ROWS]) {
+    static_assert(ROWS == 11);
+    add_row<0>(patch, products[0]), add_row<1>(patch, products[1]), add_row<2>(patch, products[2]),
+        add_row<3>(patch, products[3]), add_row<4>(patch, products[4]),
+        add_row<5>(patch, products[5]), add_row<6>(patch, products[6]),
+        add_row<7>(patch, products[7]), add_row<8>(patch, products[8]),
+        add_row<9>(patch, products[9]), add_row<10>(patch, products[10]);
 }
 
 Usual usual_of(const std::vector<Match>& matches) {
@@ -116,7 +125,9 @@ Match Match::of(const Patch& patch) {
     match.variance = products(VALUE, VALUE) / some - mean * mean;
     Eigen::Matrix<double, OWN, OWN> own = products.topLeftCorner<OWN, OWN>();
     own.diagonal().array() += TINY;
-    match.inverse = own.llt().solve(Eigen::Matrix<double, OWN, OWN>::Identity());
+    const Eigen::LLT<Eigen::Matrix<double, OWN, OWN>> solver(own);
+    for (int i = 0; i < OWN; ++i)  // column by column all is unrolled
+        match.inverse.col(i) = solver.solve(Eigen::Matrix<double, OWN, 1>::Unit(i));
     const auto right = products.topRightCorner<OWN, SHARED + 1>();
     const Eigen::Matrix<double, OWN, SHARED + 1> solved = match.inverse * right;
     match.left = products.bottomRightCorner<SHARED + 1, SHARED + 1>() - right.transpose() * solved;

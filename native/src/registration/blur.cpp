@@ -12,9 +12,11 @@ constexpr double LEAST_GAUSSIAN = 0.2;
 constexpr double MOST_RESPONSE = 1.0;
 // How far one change is trusted.
 const Eigen::Vector4d MOST_CHANGE(1.0, 1.0, 1.0, 0.5);
-// Of a kernel, in its standard deviations and in lattice steps.
+// Of a kernel's shares, which together are 1, what its products may leave: a tenth of a grey
+// level in a hundred.
+constexpr double LEFT_OVER = 1e-3;
+// Of a kernel, in its standard deviations.
 constexpr double REACH_SIGMAS = 2.6;
-constexpr int LEAST_RADIUS = 2;
 
 // Closed form of a symmetric matrix's eigenvalues, rising, and its axes.
 struct Principal {
@@ -29,6 +31,25 @@ struct Principal {
         axes << -std::sin(angle), std::cos(angle), std::cos(angle), std::sin(angle);
     }
 };
+
+using Shares = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor,
+                             2 * MOST_RADIUS + 1, 2 * MOST_RADIUS + 1>;
+
+// Adds products of a row and a column to a kernel until its shares are those: by crosses of what is
+// left, about the largest (Bebendorf 2000), which are even or odd where that is.
+void add_crosses(Shares left, Kernel& kernel) {
+    Eigen::Index y, x;
+    while (left.cwiseAbs().sum() > LEFT_OVER) {
+        left.cwiseAbs().maxCoeff(&y, &x);
+        const Shares row = left.row(y), column = left.col(x) / left(y, x);
+        for (Eigen::Index i = 0; i < row.size(); ++i) {
+            kernel.across[kernel.terms][i] = static_cast<float>(row(i));
+            kernel.down[kernel.terms][i] = static_cast<float>(column(i));
+        }
+        left -= column * row;
+        ++kernel.terms;
+    }
+}
 
 }  // namespace
 
@@ -57,21 +78,25 @@ Kernel Blur::kernel(int step) const {
     Kernel kernel;
     kernel.radius =
         std::clamp(static_cast<int>(std::ceil(std::min(reach, 1e3))), LEAST_RADIUS, MOST_RADIUS);
+    kernel.terms = 0;
     const Eigen::Vector2d spread = principal.values.cwiseMax(least);
     const Eigen::Vector2d lacking = (principal.values - spread).cwiseQuotient(spread);
-    std::array<double, (2 * MOST_RADIUS + 1) * (2 * MOST_RADIUS + 1)> shares;
-    std::size_t count = 0;
-    double sum = 0;
-    for (int y = -kernel.radius; y <= kernel.radius; ++y) {
-        for (int x = -kernel.radius; x <= kernel.radius; ++x) {
-            const Eigen::Vector2d along = principal.axes.transpose() * Eigen::Vector2d(x, y);
+    const int taps = 2 * kernel.radius + 1;
+    Shares shares(taps, taps);
+    for (int y = 0; y < taps; ++y) {
+        for (int x = 0; x < taps; ++x) {
+            const Eigen::Vector2d along =
+                principal.axes.transpose() * Eigen::Vector2d(x - kernel.radius, y - kernel.radius);
             const Eigen::Vector2d squares = along.cwiseAbs2().cwiseQuotient(spread);
             const double taken = 1 + 0.5 * (squares - Eigen::Vector2d::Ones()).dot(lacking);
-            shares[count] = std::exp(-0.5 * squares.sum()) * taken;
-            sum += shares[count++];
+            shares(y, x) = std::exp(-0.5 * squares.sum()) * taken;
         }
     }
-    for (std::size_t i = 0; i < count; ++i) kernel.shares[i] = static_cast<float>(shares[i] / sum);
+    shares /= shares.sum();
+    // What is even along both axes and what is odd, apart, so that no corner is pulled aside.
+    const Shares mirrored = shares.rowwise().reverse();
+    add_crosses(0.5 * (shares + mirrored), kernel);
+    add_crosses(0.5 * (shares - mirrored), kernel);
     return kernel;
 }
 

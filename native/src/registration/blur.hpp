@@ -10,12 +10,16 @@ namespace trigpoint {
 // is that of 6 pixels of motion. Where sharpening cannot be told from corners that lie elsewhere: a
 // little less than a pixel's own.
 constexpr double LEAST_VARIANCE = -1.5, LEAST_SOFT_VARIANCE = 0.12, MOST_VARIANCE = 3.0;
-constexpr int MOST_RADIUS = 6;
+// Of a kernel, lattice steps.
+constexpr int LEAST_RADIUS = 2, MOST_RADIUS = 6;
 
-// A blur's kernel on a lattice: its radius, and (2 radius + 1)² shares, row by row.
+// A blur's kernel on a lattice: a sum of `terms` products of a row and a column, each of
+// 2 radius + 1 shares.
 struct Kernel {
-    int radius;
-    std::array<float, (2 * MOST_RADIUS + 1) * (2 * MOST_RADIUS + 1)> shares;
+    using Taps = std::array<float, 2 * MOST_RADIUS + 1>;
+
+    int radius, terms;
+    std::array<Taps, 2 * MOST_RADIUS + 2> across, down;
 };
 
 // `variances`: xx, yy and covariance xy of the point spread, pixel², below 0 where the camera

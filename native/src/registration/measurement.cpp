@@ -32,6 +32,12 @@ constexpr double SURE_PX = 2.0;
 // Of a corner of a face that shows too few of them for a plane.
 constexpr double FEW_CORNERS_SIGMA_PX = 0.1;
 
+bool is_in_view(const PlanarFit& fit, const Eigen::Vector2d& point, double width, double height) {
+    const Eigen::Vector2d pixel = fit.project(point);
+    return pixel.minCoeff() > MARGIN_PX && pixel.x() < width - 1 - MARGIN_PX &&
+           pixel.y() < height - 1 - MARGIN_PX;
+}
+
 // With the corners that the search saw and that do not look as printed: where light clips or a
 // reflection ends. They are where the gradients about them meet, if that is near where they were
 // seen; they count as having something before them. Where most are lost, the face itself is not as
@@ -71,13 +77,9 @@ std::optional<Measured> measured(const Grey& grey, const CornerPattern& pattern,
                                  const Blur& blur, bool is_rough) {
     std::vector<int> ids;
     std::vector<Eigen::Vector2d> near;
-    const Eigen::Vector2d limit(double(grey.width) - 1 - MARGIN_PX,
-                                double(grey.height) - 1 - MARGIN_PX);
     for (Eigen::Index id = 0; id < pattern.points.rows(); ++id) {
-        const Eigen::Vector2d pixel = fit.project(pattern.points.row(id));
-        const bool is_inside =
-            pixel.minCoeff() > MARGIN_PX && (pixel.array() < limit.array()).all();
-        if (!is_inside) continue;
+        if (!is_in_view(fit, pattern.points.row(id), double(grey.width), double(grey.height)))
+            continue;
         ids.push_back(static_cast<int>(id));
         if (!starts.empty()) near.push_back(starts[static_cast<std::size_t>(id)]);
     }
@@ -216,5 +218,17 @@ TRIGPOINT_KERNEL(tp_measured) {
     numbers.segment<3>(1) = found->blur.variances;
     numbers(4) = found->blur.response;
     found->fit.pack(arguments[10].array.as<double>());
+    return count;
+}
+
+// (fit, points (n, 2), width, height): how many points of a face lie in a picture of that size.
+TRIGPOINT_KERNEL(tp_in_view) {
+    const PlanarFit fit = PlanarFit::unpacked(arguments[0].array.as<double>());
+    const auto points = arguments[1].array.rows<2>();
+    const auto width = static_cast<double>(arguments[2].whole),
+               height = static_cast<double>(arguments[3].whole);
+    std::int64_t count = 0;
+    for (Eigen::Index i = 0; i < points.rows(); ++i)
+        count += is_in_view(fit, points.row(i), width, height);
     return count;
 }

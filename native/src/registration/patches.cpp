@@ -14,13 +14,14 @@ constexpr float SLACK = 0.05F;  // of the reach, left out beside an unknown sect
 constexpr float WHITE = 255, MIDDLE = 128;
 // The drawing's side on the lattice: what derivatives are taken from, and what blur comes from.
 constexpr int EDGE = 2;
-constexpr int MOST_SOFT = LATTICE * (SIDE - 1) + 1 + 2 * EDGE;
-constexpr int MOST_SHARP = MOST_SOFT + 2 * MOST_RADIUS;
-// Its rows in memory: what is softened goes in eights, what is read of it in WIDTH pixels.
-constexpr int EIGHT = 8, MOST_EIGHTS = (MOST_SOFT + EIGHT - 1) / EIGHT;
-constexpr int SHARP_WIDTH = EIGHT * MOST_EIGHTS + 2 * MOST_RADIUS;
-constexpr int SOFT_WIDTH = LATTICE * WIDTH + 2 * EDGE;
-static_assert(SOFT_WIDTH >= EIGHT * MOST_EIGHTS && WIDTH >= SIDE);
+constexpr int MOST_SIDE = LATTICE * (SIDE - 1) + 1 + 2 * EDGE + 2 * MOST_RADIUS;
+// Samples are drawn in eights, and rows explained in WIDTH pixels, the last ones beyond the end.
+constexpr int EIGHT = 8, MOST_WIDTH = EIGHT * ((MOST_SIDE + EIGHT - 1) / EIGHT);
+
+constexpr int BEYOND = LATTICE * WIDTH + EDGE;
+
+// A drawing on the lattice, row after row.
+using Drawing = std::array<float, MOST_SIDE * MOST_SIDE + BEYOND>;
 
 struct Texels {
     Eigen::Matrix3d from_face;
@@ -30,22 +31,30 @@ struct Texels {
     }
 };
 
-// The values of a print at places, of 0 to 1, interpolated; beyond its edge as at the edge.
+// The places of a row on a print: from the first one on, each at the next whole number.
+struct Line {
+    Eigen::Vector2f begin, slope, bend;
+};
+
+// The values of a print along a line, of 0 to 1, interpolated; beyond its edge as at the edge.
 TRIGPOINT_WIDE
-void sample(const Print& print, const float* __restrict x, const float* __restrict y, int count,
-            float* __restrict values) {
+void sample(const Print& print, const Line& line, int count, float* __restrict values) {
     const auto right = static_cast<float>(print.width - 1),
                bottom = static_cast<float>(print.height - 1);
-    std::array<std::int32_t, SHARP_WIDTH> cell;
-    std::array<float, SHARP_WIDTH> across, down;
+    const float x = line.begin.x(), y = line.begin.y(), slope_x = line.slope.x(),
+                slope_y = line.slope.y(), bend_x = line.bend.x(), bend_y = line.bend.y();
+    std::array<std::int32_t, MOST_WIDTH> cell;
+    std::array<float, MOST_WIDTH> across, down;
     for (int i = 0; i < count; ++i) {
-        float u = x[i] > 0 ? x[i] : 0, v = y[i] > 0 ? y[i] : 0;
+        const auto t = static_cast<float>(i);
+        float u = x + t * (slope_x + t * bend_x), v = y + t * (slope_y + t * bend_y);
+        u = u > 0 ? u : 0, v = v > 0 ? v : 0;
         u = u < right ? u : right, v = v < bottom ? v : bottom;
-        const auto column = static_cast<std::int32_t>(u), line = static_cast<std::int32_t>(v);
-        cell[i] = line * print.width + column;
-        across[i] = u - static_cast<float>(column), down[i] = v - static_cast<float>(line);
+        const auto column = static_cast<std::int32_t>(u), row = static_cast<std::int32_t>(v);
+        cell[i] = row * print.width + column;
+        across[i] = u - static_cast<float>(column), down[i] = v - static_cast<float>(row);
     }
-    std::array<std::uint32_t, SHARP_WIDTH> four;
+    std::array<std::uint32_t, MOST_WIDTH> four;
     for (int i = 0; i < count; ++i) four[i] = print.cells[static_cast<std::size_t>(cell[i])];
     for (int i = 0; i < count; ++i) {
         const auto texel = [&](int shift) {
@@ -57,61 +66,135 @@ void sample(const Print& print, const float* __restrict x, const float* __restri
     }
 }
 
-// Of a lattice with `radius` more on every side, softened: `height` rows of so many eights.
-template <int EIGHTS>
-inline __attribute__((always_inline)) void soften_rows(const float* __restrict sharp,
-                                                       const Kernel& kernel, int height,
-                                                       float* __restrict soft) {
-    using Eight = float __attribute__((vector_size(EIGHT * sizeof(float))));
-    const int taps = 2 * kernel.radius + 1;
-    for (int y = 0; y < height; ++y) {
-        Eight line[EIGHTS] = {};
-        const float* share = kernel.shares.data();
-        for (int j = 0; j < taps; ++j) {
-            for (int i = 0; i < taps; ++i, ++share) {
-                for (int k = 0; k < EIGHTS; ++k) {
-                    Eight from;
-                    std::memcpy(&from, sharp + (y + j) * SHARP_WIDTH + i + EIGHT * k, sizeof(from));
-                    line[k] += *share * from;
-                }
-            }
+// Of `count` values the sums of TAPS others, `apart` in memory, each with its share; added to what
+// is there, or in its place.
+template <int TAPS, bool ADDS>
+inline __attribute__((always_inline)) void filter(const float* __restrict from, int apart,
+                                                  const Kernel::Taps& shares, int count,
+                                                  float* __restrict to) {
+    for (int n = 0; n < count; ++n) {
+        float sum = ADDS ? to[n] : 0;
+        for (int i = 0; i < TAPS; ++i) sum += shares[i] * from[n + i * apart];
+        to[n] = sum;
+    }
+}
+
+// A drawing softened: `side` rows of it, as wide in memory as the sharp one, which has `radius`
+// more on every side. Rows are taken as one line: what runs over at their ends is not read.
+template <int RADIUS>
+inline __attribute__((always_inline)) void soften_by(const Drawing& sharp, const Kernel& kernel,
+                                                     int side, Drawing& soft) {
+    constexpr int TAPS = 2 * RADIUS + 1;
+    const int width = side + 2 * RADIUS;
+    Drawing across;
+    // What a product with 0 is made of is a number.
+    std::fill_n(across.begin() + width * width - 2 * RADIUS, 2 * RADIUS, 0.0F);
+    std::fill_n(soft.begin() + side * width, BEYOND, 0.0F);
+    for (int term = 0; term < kernel.terms; ++term) {
+        filter<TAPS, false>(sharp.data(), 1, kernel.across[term], width * width - 2 * RADIUS,
+                            across.data());
+        if (term == 0) {
+            filter<TAPS, false>(across.data(), width, kernel.down[term], side * width, soft.data());
+        } else {
+            filter<TAPS, true>(across.data(), width, kernel.down[term], side * width, soft.data());
         }
-        std::memcpy(soft + y * SOFT_WIDTH, line, sizeof(line));
     }
 }
 
 TRIGPOINT_WIDE
-void soften(const float* sharp, const Kernel& kernel, int side, float* soft) {
-    if (side <= 3 * EIGHT) {
-        soften_rows<3>(sharp, kernel, side, soft);
-    } else {
-        soften_rows<MOST_EIGHTS>(sharp, kernel, side, soft);
+void soften(const Drawing& sharp, const Kernel& kernel, int side, Drawing& soft) {
+    static_assert(LEAST_RADIUS == 2 && MOST_RADIUS == 6);
+    switch (kernel.radius) {
+        case 2:
+            return soften_by<2>(sharp, kernel, side, soft);
+        case 3:
+            return soften_by<3>(sharp, kernel, side, soft);
+        case 4:
+            return soften_by<4>(sharp, kernel, side, soft);
+        case 5:
+            return soften_by<5>(sharp, kernel, side, soft);
+        default:
+            return soften_by<6>(sharp, kernel, side, soft);
     }
 }
 
-// What explains the pixels of one row of a patch: the softened drawing about it, whether each
-// counts (1 or 0), and the blur's response.
+// What counts about a corner, at `corner` of the print: what is nearer than `reach` along both
+// axes, but for an unknown sector, whose axes have the signs `outward`.
+struct Surroundings {
+    Eigen::Vector2f corner, outward;
+    float reach;
+};
+
+// What is seen of a row of a patch, whose places are a line, and whether each pixel counts (1 or
+// 0); the picture has those from `begin` to `end`. How many do.
 TRIGPOINT_WIDE
-void explain(const float* __restrict soft, const float* __restrict counts, float response,
-             float* __restrict rows) {
-    constexpr int PLANE = SIDE * WIDTH, DOWN = SOFT_WIDTH;
+int see(const Line& line, const Surroundings& about, const std::uint8_t* grey, int begin, int end,
+        float* __restrict counts, float* __restrict seen) {
+    std::array<std::uint8_t, WIDTH> bytes{};
+    std::memcpy(bytes.data() + begin, grey + begin, static_cast<std::size_t>(end - begin));
+    const float x = line.begin.x() - about.corner.x(), y = line.begin.y() - about.corner.y(),
+                slope_x = line.slope.x(), slope_y = line.slope.y(), bend_x = line.bend.x(),
+                bend_y = line.bend.y(), reach = about.reach, out_x = about.outward.x(),
+                out_y = about.outward.y();
+    const int has_unknown = out_x != 0 || out_y != 0;
+    int total = 0;
     for (int i = 0; i < WIDTH; ++i) {
-        const float* at = soft + LATTICE * i;
-        const float one = counts[i], value = at[0], right = at[1], before = at[-1],
-                    below = at[DOWN], above = at[-DOWN], bump = value * (1 - value);
-        const float slope = one * (1 + response * (1 - 2 * value));
-        // To the fourth order, as blurred edges need; over one pixel alone a derivative comes out a
-        // twentieth too low, and a step as much too long.
-        rows[BY_X * PLANE + i] =
-            slope * ((right - before) * (4.0F / 3) - (at[2] - at[-2]) * (1.0F / 6));
-        rows[BY_Y * PLANE + i] =
-            slope * ((below - above) * (4.0F / 3) - (at[2 * DOWN] - at[-2 * DOWN]) * (1.0F / 6));
-        rows[VALUE * PLANE + i] = one * (value + response * bump);
-        // What a wider blur changes is half the second derivatives (the heat equation).
-        rows[XX * PLANE + i] = slope * (2 * (right + before - 2 * value));
-        rows[YY * PLANE + i] = slope * (2 * (below + above - 2 * value));
-        rows[XY * PLANE + i] = slope * (at[DOWN + 1] - at[DOWN - 1] - at[1 - DOWN] + at[-1 - DOWN]);
-        rows[BUMP * PLANE + i] = one * bump;
+        const auto t = static_cast<float>(i);
+        const float off_x = x + t * (slope_x + t * bend_x), off_y = y + t * (slope_y + t * bend_y);
+        const int is_unknown =
+            has_unknown & (off_x * out_x > -SLACK * reach) & (off_y * out_y > -SLACK * reach);
+        const int is_known = (i >= begin) & (i < end) & (std::abs(off_x) < reach) &
+                             (std::abs(off_y) < reach) & !is_unknown;
+        total += is_known;
+        counts[i] = static_cast<float>(is_known);
+        seen[i] = counts[i] * (static_cast<float>(bytes[i]) - MIDDLE);
+    }
+    return total;
+}
+
+// What explains the pixels of a patch, by the softened drawing, `width` in memory, whether each
+// counts, which is its row ONE, the blur's response, and how much the light may rise from pixel to
+// pixel.
+TRIGPOINT_WIDE
+void explain(const Drawing& soft, int width, int side, float response, float rise, Patch& patch) {
+    // Every other value, so that pixels lie side by side.
+    constexpr int ROW = WIDTH + EDGE;
+    std::array<float, (LATTICE * SIDE + 2 * EDGE) * ROW> on_pixels, between;
+    for (int y = 0; y < LATTICE * (side - 1) + 1 + 2 * EDGE; ++y) {
+        const float* __restrict from = soft.data() + y * width;
+        float* __restrict even = on_pixels.data() + y * ROW, * __restrict odd =
+                                                                 between.data() + y * ROW;
+        for (int i = 0; i < ROW; ++i) even[i] = from[LATTICE * i], odd[i] = from[LATTICE * i + 1];
+    }
+    const float middle = rise > 0 ? 0.5F : 0;
+    for (int j = 0; j < side; ++j) {
+        constexpr int PLANE = SIDE * WIDTH;
+        const float rise_y = rise * static_cast<float>(j) - middle;
+        const float* __restrict even = on_pixels.data() + (LATTICE * j + EDGE) * ROW;
+        const float* __restrict odd = between.data() + (LATTICE * j + EDGE) * ROW;
+        float* __restrict rows = patch.rows[0].data() + j * WIDTH;
+        for (int i = 0; i < WIDTH; ++i) {
+            const float one = rows[ONE * PLANE + i], value = even[i + 1], right = odd[i + 1],
+                        before = odd[i], below = even[i + 1 + ROW], above = even[i + 1 - ROW],
+                        bump = value * (1 - value);
+            const float slope = one * (1 + response * (1 - 2 * value));
+            // To the fourth order, as blurred edges need; over one pixel alone a derivative comes
+            // out a twentieth too low, and a step as much too long.
+            rows[BY_X * PLANE + i] =
+                slope * ((right - before) * (4.0F / 3) - (even[i + 2] - even[i]) * (1.0F / 6));
+            rows[BY_Y * PLANE + i] =
+                slope * ((below - above) * (4.0F / 3) -
+                         (even[i + 1 + 2 * ROW] - even[i + 1 - 2 * ROW]) * (1.0F / 6));
+            rows[VALUE * PLANE + i] = one * (value + response * bump);
+            // What a wider blur changes is half the second derivatives (the heat equation).
+            rows[XX * PLANE + i] = slope * (2 * (right + before - 2 * value));
+            rows[YY * PLANE + i] = slope * (2 * (below + above - 2 * value));
+            rows[XY * PLANE + i] =
+                slope * (odd[i + 1 + ROW] - odd[i + 1 - ROW] - odd[i + ROW] + odd[i - ROW]);
+            rows[BUMP * PLANE + i] = one * bump;
+            rows[RISE_X * PLANE + i] = one * (rise * static_cast<float>(i) - middle);
+            rows[RISE_Y * PLANE + i] = one * rise_y;
+        }
     }
 }
 
@@ -156,21 +239,12 @@ struct Drawer::Quadratic {
         return constant + dx * (x + dx * xx + dy * xy) + dy * (y + dy * yy);
     }
 
-    // The places of a row: `count` from `from` on, `step` apart; 0 where one is no number.
-    void row(double dy, double from, double step, int count, float* __restrict to_x,
-             float* __restrict to_y) const {
+    // The places of a row, `step` apart; 0 where one is no number.
+    Line line(double dy, double from, double step) const {
         const Eigen::Vector2d begin = at(from, dy), slope = step * (x + dy * xy + 2 * from * xx),
                               bend = step * step * xx;
-        const bool is_known = begin.allFinite() && slope.allFinite() && bend.allFinite();
-        const Eigen::Vector2f a = is_known ? Eigen::Vector2f(begin.cast<float>())
-                                           : Eigen::Vector2f(Eigen::Vector2f::Zero()),
-                              b = is_known ? Eigen::Vector2f(slope.cast<float>()) : a,
-                              c = is_known ? Eigen::Vector2f(bend.cast<float>()) : a;
-        for (int i = 0; i < count; ++i) {
-            const auto t = static_cast<float>(i);
-            to_x[i] = a.x() + t * (b.x() + t * c.x());
-            to_y[i] = a.y() + t * (b.y() + t * c.y());
-        }
+        if (!(begin + slope + bend).allFinite()) return {{0, 0}, {0, 0}, {0, 0}};
+        return {begin.cast<float>(), slope.cast<float>(), bend.cast<float>()};
     }
 };
 
@@ -212,56 +286,37 @@ void Drawer::draw(int id, const Eigen::Vector2d& pixel, const Eigen::Vector2d& n
     const Eigen::Vector2d middle = nearest - (pixel - fit_.project(point));
     const Quadratic texels(texel_from_pixel_, middle, STENCIL * (half_ + MARGIN_PX));
     const int side = 2 * half_ + 1, soft_side = LATTICE * (side - 1) + 1 + 2 * EDGE;
-    const int sharp_side = soft_side + 2 * kernel_.radius;
-    const int sharp_width = EIGHT * (soft_side <= 3 * EIGHT ? 3 : MOST_EIGHTS) + 2 * kernel_.radius;
+    const int width = soft_side + 2 * kernel_.radius;
 
-    std::array<float, MOST_SHARP * SHARP_WIDTH> sharp;
-    const int first = -(LATTICE * half_ + EDGE + kernel_.radius);
-    std::array<float, SHARP_WIDTH> x, y;
-    for (int j = 0; j < sharp_side; ++j) {
-        texels.row(double(first + j) / LATTICE, double(first) / LATTICE, 1.0 / LATTICE, sharp_width,
-                   x.data(), y.data());
-        sample(*print_, x.data(), y.data(), sharp_width, sharp.data() + j * SHARP_WIDTH);
-    }
-    std::array<float, MOST_SOFT * SOFT_WIDTH> soft{};
-    soften(sharp.data(), kernel_, soft_side, soft.data());
+    Drawing sharp, soft;
+    const double first = -(LATTICE * half_ + EDGE + kernel_.radius), step = 1.0 / LATTICE;
+    for (int j = 0; j < width; ++j)
+        sample(*print_, texels.line(step * (first + j), step * first, step),
+               EIGHT * ((width + EIGHT - 1) / EIGHT), sharp.data() + j * width);
+    soften(sharp, kernel_, soft_side, soft);
 
     const Eigen::Vector2d corner = point * print_->scale + print_->offset;
-    const auto corner_x = static_cast<float>(corner.x()), corner_y = static_cast<float>(corner.y());
-    const auto reach = static_cast<float>(pattern_.reach * print_->scale);
-    const auto out_x = static_cast<float>(out.x()), out_y = static_cast<float>(out.y());
-    const bool has_unknown = !out.isZero(0);
+    const Surroundings about{corner.cast<float>(), out.cast<float>(),
+                             static_cast<float>(pattern_.reach * print_->scale)};
     const auto left = static_cast<std::int64_t>(nearest.x()) - part_.left - half_,
                top = static_cast<std::int64_t>(nearest.y()) - part_.top - half_;
     const int begin = static_cast<int>(std::clamp<std::int64_t>(-left, 0, side)),
               end = static_cast<int>(std::clamp<std::int64_t>(part_.grey.width - left, 0, side));
-    patch.count = side * WIDTH, patch.total = 0;
+    patch.count = side * WIDTH;
+    int total = 0;
     for (int j = 0; j < side; ++j) {
-        std::array<float, WIDTH> counts{};
-        float* rows = patch.rows[0].data() + j * WIDTH;
-        const auto row = [&](Row which) { return patch.rows[which].data() + j * WIDTH; };
-        std::fill_n(row(SEEN), WIDTH, 0.0F);
-        if (top + j >= 0 && top + j < part_.grey.height) {
-            texels.row(j - half_, -half_, 1, side, x.data(), y.data());
-            const std::uint8_t* grey = part_.grey.row(top + j);
-            for (int i = begin; i < end; ++i) {
-                const float off_x = x[i] - corner_x, off_y = y[i] - corner_y;
-                const bool is_unknown =
-                    has_unknown && off_x * out_x > -SLACK * reach && off_y * out_y > -SLACK * reach;
-                counts[i] = std::abs(off_x) < reach && std::abs(off_y) < reach && !is_unknown;
-                row(SEEN)[i] = counts[i] * (grey[left + i] - MIDDLE);
-                patch.total += counts[i];
-            }
-        }
-        explain(soft.data() + (LATTICE * j + EDGE) * SOFT_WIDTH + EDGE, counts.data(), response_,
-                rows);
-        for (int i = 0; i < WIDTH; ++i) {
-            const float rises = is_light_even ? 0 : counts[i], middle_of = float(side - 1);
-            row(ONE)[i] = counts[i];
-            row(RISE_X)[i] = rises * (float(i) / middle_of - 0.5F);
-            row(RISE_Y)[i] = rises * (float(j) / middle_of - 0.5F);
+        float *counts = patch.rows[ONE].data() + j * WIDTH,
+              *seen = patch.rows[SEEN].data() + j * WIDTH;
+        if (top + j >= 0 && top + j < part_.grey.height && begin < end) {
+            total += see(texels.line(j - half_, -half_, 1), about, part_.grey.row(top + j) + left,
+                         begin, end, counts, seen);
+        } else {
+            std::fill_n(counts, WIDTH, 0.0F), std::fill_n(seen, WIDTH, 0.0F);
         }
     }
+    patch.total = total;
+    explain(soft, width, side, response_,
+            is_light_even ? 0.0F : 1.0F / static_cast<float>(side - 1), patch);
 }
 
 }  // namespace trigpoint

@@ -93,7 +93,8 @@ PlanarFit PlanarFit::unpacked(const double* numbers) {
 }
 
 void PlanarFit::pack(double* numbers) const {
-    for (int i = 0; i < 9; ++i) numbers[i] = homography(i / 3, i % 3);
+    const double scaling = std::copysign(1 / homography.leftCols<2>().norm(), homography(2, 2));
+    for (int i = 0; i < 9; ++i) numbers[i] = scaling * homography(i / 3, i % 3);
     numbers[9] = radial.x(), numbers[10] = radial.y();
     numbers[11] = centre.x(), numbers[12] = centre.y();
     numbers[13] = scale;

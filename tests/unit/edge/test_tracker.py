@@ -169,7 +169,8 @@ def test_face_that_comes_nearer_is_expected_where_it_is(face: Face) -> None:
     for index, view in enumerate(views[:2]):
         tracker.detect(picture_of([view], noise=1.0), index * STEP_NS)
     (track,) = tracker._tracks
-    off = track.pixels_at(2 * STEP_NS) - true_pixels(views[2])[track.located.found.corners]
+    expected = track.fit_at(2 * STEP_NS).project(track.seen_points)
+    off = expected - true_pixels(views[2])[track.located.found.corners]
     assert np.abs(off).max() < 0.8
 
 

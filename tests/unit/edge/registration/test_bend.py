@@ -20,7 +20,7 @@ def test_curl_is_taken_up() -> None:
     fit = settled_fit(POINTS, pixels, SIZE, ENOUGH_PX)
     rough = settled_fit(POINTS, pixels, SIZE, 10.0)
     assert fit is not None
-    assert fit.bend is not None
+    assert fit.is_bent
     assert rough is not None
     assert rough.residuals(POINTS, pixels).max() > 0.25
     assert fit.residuals(POINTS, pixels).max() < 0.15
@@ -38,4 +38,4 @@ def test_few_corners_have_none() -> None:
     fit = settled_fit(
         POINTS[[0, 1, 9, 10, 20, 33, 40]], np.arange(14.0).reshape(7, 2) ** 1.5, SIZE, 0
     )
-    assert fit is None or fit.bend is None
+    assert fit is None or not fit.is_bent
