@@ -64,7 +64,8 @@ BENCHMARKS: dict[str, Benchmark] = {
         is_long=True,
     ),
     "load": Benchmark(
-        "what do updates, memory and checkpoint of live fusion come to, under which load?",
+        "what do updates, memory and checkpoint of live fusion come to, under which load; and what "
+        "grows with the age of a map?",
         "fusion.load",
         has_options=True,
     ),
@@ -72,9 +73,6 @@ BENCHMARKS: dict[str, Benchmark] = {
         "how soon does a fusion that is started again correct, and how soon is all solved?",
         "fusion.restart",
         is_long=True,
-    ),
-    "month": Benchmark(
-        "what grows with the age of a map that is learnt, day by day?", "fusion.month", is_long=True
     ),
     "bounded": Benchmark(
         "how near is a map whose past is summarised to all of it solved at once, and how honest?",
