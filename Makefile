@@ -56,7 +56,7 @@ $(CORE): $(CORE_SOURCES) | $(INSTALLED)
 	$(BIN)/python native/build.py --strict
 	touch $@
 
-fuzz: $(CORE)  ## a million drawn inputs to the compiled core, under sanitizers (needs g++); what it finds goes to out/fuzz
+fuzz: $(CORE)  ## a million spoilt calls of the compiled core, under sanitizers (needs g++); what it finds goes to out/fuzz
 	$(BIN)/python -m benchmarks fuzz --count $(INPUTS)
 
 # For machines without a compiler, on either kind: zig builds for both, against an old C library.

@@ -15,7 +15,7 @@ from .table import BENCHMARKS, Row, columns
 
 _FOLDER = Path("out")
 
-_SHORT = [name for name, benchmark in BENCHMARKS.items() if not benchmark.is_long]
+_SHORT = [name for name, benchmark in BENCHMARKS.items() if benchmark.is_short]
 
 
 def measure(
@@ -55,16 +55,15 @@ def main() -> None:
         rows = [(name, benchmark.question) for name, benchmark in BENCHMARKS.items()]
         print("\n".join(columns([("name", "question"), *rows])))
         return
-    found = BENCHMARKS.get(sys.argv[1])
-    if found and (found.is_long or (found.has_options and "--effort" not in sys.argv)):
-        own = found.module_opened()
-        program = f"python -m benchmarks {sys.argv[1]}"
-        if hasattr(own, "app"):
-            own.app(sys.argv[2:], prog_name=program)
-        else:
-            _run(_told(sys.argv[1], own.main), sys.argv[2:], program)
-    else:
+    name, *words = sys.argv[1:]
+    if name not in BENCHMARKS or name in _SHORT:
         _run(measure, sys.argv[1:], "python -m benchmarks")
+    else:
+        own, program = BENCHMARKS[name].open(), f"python -m benchmarks {name}"
+        if isinstance(own, typer.Typer):
+            own(words, prog_name=program)
+        else:
+            _run(_told(name, own), words, program)
 
 
 def _told(name: str, command: Callable[..., list[Row] | None]) -> Callable[..., None]:

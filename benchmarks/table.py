@@ -3,116 +3,101 @@
 from collections.abc import Callable, Iterable, Sequence
 from importlib import import_module
 from importlib.util import find_spec
-from types import ModuleType
 
 import numpy as np
 from msgspec import Struct
 
 
 class Benchmark(Struct, frozen=True):
-    """`module`: has `run`, which takes an effort and gives rows; `main`, a command line, where it
-    `has_options` or `is_long` (or `app`, of several). `needs`: a library that only benchmarks have.
+    """`place`: «module:object». A short one is `run`, which takes an effort and gives rows; any
+    other is a command line, of which each run is one of its own. `needs`: a library that only
+    benchmarks have.
     """
 
     question: str
-    module: str
+    place: str
     needs: str = ""
-    has_options: bool = False
-    is_long: bool = False
 
     @property
     def is_installed(self) -> bool:
         """Whether everything that it needs is there."""
         return not self.needs or find_spec(self.needs) is not None
 
-    def module_opened(self) -> ModuleType:
-        """Its module."""
-        return import_module(f".{self.module}", __package__)
+    @property
+    def is_short(self) -> bool:
+        """Whether it may be measured together with others."""
+        return self.place.endswith(":run")
 
     def open(self) -> Callable[..., "list[Row] | None"]:
-        """`run`; of a long one `main`."""
-        module = self.module_opened()
-        return module.run if not self.is_long else getattr(module, "app", None) or module.main
+        """Its object."""
+        module, _, name = self.place.partition(":")
+        return getattr(import_module(f".{module}", __package__), name)
 
 
 BENCHMARKS: dict[str, Benchmark] = {
     "detection": Benchmark(
-        "how soon, how often and how well are targets found, beside OpenCV?", "pictures.detection"
+        "how soon, how often and how well are targets found, beside OpenCV?",
+        "pictures.detection:run",
     ),
     "real_boards": Benchmark(
         "the same of real pictures, also beside calib-targets and AprilTag",
-        "pictures.real_boards",
+        "pictures.real_boards:main",
         "calib_targets",
-        is_long=True,
     ),
     "world": Benchmark(
-        "the same of boards as the world shows them", "pictures.world_detection", "skimage"
+        "the same of boards as the world shows them", "pictures.world_detection:run", "skimage"
     ),
-    "agent": Benchmark("what does an agent of eight cameras take of a core?", "pictures.agent"),
-    "messages": Benchmark("what do messages cost beside rosbags?", "network.messages"),
-    "bus": Benchmark("how late are messages beside bare Zenoh?", "network.bus"),
-    "recorder": Benchmark("how fast are recordings written and read beside mcap?", "recorder"),
+    "agent": Benchmark("what does an agent of eight cameras take of a core?", "pictures.agent:run"),
+    "messages": Benchmark("what do messages cost beside rosbags?", "network.messages:run"),
+    "bus": Benchmark("how late are messages beside bare Zenoh?", "network.bus:run"),
+    "recorder": Benchmark("how fast are recordings written and read beside mcap?", "recorder:run"),
     "calibration": Benchmark(
-        "what does `calibrate` take, and how does that grow?", "fusion.calibration"
+        "what does `calibrate` take, and how does that grow?", "fusion.calibration:run"
     ),
     "gtsam": Benchmark(
-        "what does a solution take beside GTSAM?", "fusion.gtsam_comparison", "gtsam"
+        "what does a solution take beside GTSAM?", "fusion.gtsam_comparison:run", "gtsam"
+    ),
+    "updates": Benchmark("what does an update of live fusion take?", "fusion.load:run"),
+    "load": Benchmark(
+        "what do updates, memory and checkpoint of live fusion come to, under which load; and what "
+        "grows with the age of a map?",
+        "fusion.load:main",
     ),
     "study": Benchmark(
         "how near to the bound, how honest is `calibrate`, in every situation and composition?",
-        "study.command",
-        is_long=True,
-    ),
-    "load": Benchmark(
-        "what do updates, memory and checkpoint of live fusion come to, under which load?",
-        "fusion.load",
-        has_options=True,
+        "study.command:app",
     ),
     "restart": Benchmark(
         "how soon does a fusion that is started again correct, and how soon is all solved?",
-        "fusion.restart",
-        is_long=True,
-    ),
-    "month": Benchmark(
-        "what grows with the age of a map that is learnt, day by day?", "fusion.month", is_long=True
+        "fusion.restart:main",
     ),
     "bounded": Benchmark(
         "how near is a map whose past is summarised to all of it solved at once, and how honest?",
-        "fusion.bounded_past",
-        is_long=True,
+        "fusion.bounded_past:main",
     ),
-    "latency": Benchmark(
-        "how late is a correction, and where did the time go?", "latency", is_long=True
-    ),
+    "latency": Benchmark("how late is a correction, and where did the time go?", "latency:main"),
     "networks": Benchmark(
         "what do bad networks delay and lose, also for an hour, beside an undisturbed twin?",
-        "network.bad_links",
-        is_long=True,
+        "network.bad_links:main",
     ),
     "soak": Benchmark(
-        "does a site hold out hours of faults, and what grows?", "endurance.soak", is_long=True
+        "does a site hold out hours of faults, and what grows?", "endurance.soak:main"
     ),
     "false_sightings": Benchmark(
-        "what is found where nothing is?", "pictures.false_sightings", is_long=True
+        "what is found where nothing is?", "pictures.false_sightings:main"
     ),
-    "shown": Benchmark(
-        "are stills that are shown to an agent published?", "pictures.agent", is_long=True
-    ),
+    "shown": Benchmark("are stills that are shown to an agent published?", "pictures.agent:main"),
     "nudged": Benchmark(
-        "are cameras that were moved noticed, and others not?", "pictures.nudged", is_long=True
+        "are cameras that were moved noticed, and others not?", "pictures.nudged:main"
     ),
     "page": Benchmark(
-        "what does the web page of a large site cost, and how late is it?",
-        "network.board",
-        is_long=True,
+        "what does the web page of a large site cost, and how late is it?", "network.board:main"
     ),
     "accuracy_map": Benchmark(
-        "are robots corrected as well as the map of that says?", "fusion.accuracy_map", is_long=True
+        "are robots corrected as well as the map of that says?", "fusion.accuracy_map:main"
     ),
-    "arm": Benchmark(
-        "does the wheel for aarch64 find the same there, under qemu?", "arm", is_long=True
-    ),
-    "fuzz": Benchmark("does any input harm the compiled core?", "fuzz.command", is_long=True),
+    "arm": Benchmark("does the wheel for aarch64 find the same there, under qemu?", "arm:main"),
+    "fuzz": Benchmark("does any input harm the compiled core?", "fuzz.command:main"),
 }
 
 

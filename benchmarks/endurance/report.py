@@ -2,87 +2,80 @@
 
 from collections import defaultdict
 from collections.abc import Iterator
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from benchmarks.table import columns
+from benchmarks.table import Row
 
 if TYPE_CHECKING:
     from .soak import Record, Sample
 
 _SETTLED_S = 600.0
 """Memory is held against what it was after ten minutes of a life, or a third of a shorter one."""
+_MEASURES = (
+    ("memory", "MB", "resident_mb"),
+    ("files", "files", "files"),
+    ("threads", "threads", "threads"),
+)
+_row = partial(Row, "soak")
 
 
-def report(record: "Record") -> str:
-    """The tables, as Markdown."""
-    maps = record.heard[-1]["maps"] if record.heard else []
-    tables = (_programs(record), _mended(record), _latencies(record), _losses(record))
-    return "\n\n".join(
-        [
-            f"# Soak run of {record.seconds / 60:.0f} minutes, {len(record.breaks)} breaks",
-            f"Maps of fusion from begin to end, in order (one is right): {', '.join(maps)}",
-            *("\n".join(columns(list(table))) for table in tables),
-        ]
-    )
+def rows_of(record: "Record") -> Iterator[Row]:
+    """All of it."""
+    maps = set(record.heard[-1]["maps"]) if record.heard else set()
+    yield _row("maps of fusion from begin to end", "maps", len(maps), 1.0, "one is right")
+    yield from _programs(record)
+    yield from _mended(record)
+    yield from _latencies(record)
+    yield from _losses(record)
 
 
-def _programs(record: "Record") -> Iterator[tuple[str, ...]]:
+def _programs(record: "Record") -> Iterator[Row]:
     """Of each program's longest life."""
-    yield "program", "life, minutes", "settled, MB", "at the end, MB", "ratio", "files", "threads"
     lives: dict[str, dict[int, list[Sample]]] = defaultdict(lambda: defaultdict(list))
     for sample in record.samples:
         lives[sample.program][sample.process].append(sample)
-    for name, each in lives.items():
+    for program, each in lives.items():
         life = max(each.values(), key=lambda samples: samples[-1].t_s - samples[0].t_s)
-        settled, last = memory_ratio_parts([(s.t_s, s.resident_mb) for s in life])
-        yield (
-            name,
-            f"{(life[-1].t_s - life[0].t_s) / 60:.0f}",
-            f"{settled:.1f}",
-            f"{last:.1f}",
-            f"{last / settled:.3f}",
-            f"{life[len(life) // 3].files} to {life[-1].files}",
-            f"{life[len(life) // 3].threads} to {life[-1].threads}",
-        )
+        begin_s, end_s = life[0].t_s, life[-1].t_s
+        settled_s, span_s = min(_SETTLED_S, (end_s - begin_s) / 3), (end_s - begin_s) / 10
+        from_s = begin_s + settled_s
+        early = [one for one in life if from_s <= one.t_s <= from_s + span_s]
+        late = [one for one in life if one.t_s >= end_s - span_s]
+        what, against = f"{program}, {(end_s - begin_s) / 60:.0f} minutes", "settled"
+        for name, unit, field in _MEASURES:
+            settled, last = (np.median([getattr(s, field) for s in part]) for part in (early, late))
+            yield _row(f"{what}: {name} at the end", unit, float(last), float(settled), against)
 
 
-def memory_ratio_parts(points: list[tuple[float, float]]) -> tuple[float, float]:
-    """(settled, at the end) of one life, each the median of a tenth of it."""
-    begin_s, end_s = points[0][0], points[-1][0]
-    settled_s, span_s = min(_SETTLED_S, (end_s - begin_s) / 3), (end_s - begin_s) / 10
-    from_s = begin_s + settled_s
-    early = [value for t_s, value in points if from_s <= t_s <= from_s + span_s]
-    late = [value for t_s, value in points if t_s >= end_s - span_s]
-    return float(np.median(early)), float(np.median(late))
-
-
-def _mended(record: "Record") -> Iterator[tuple[str, ...]]:
-    yield "what was mended", "seen by", "times", "back after, median", "longest"
+def _mended(record: "Record") -> Iterator[Row]:
     back_s: dict[tuple[str, str], list[float]] = defaultdict(list)
     for one in record.breaks:
         back_s[one.kind, one.key].append(one.back_s)
     for (kind, key), found in back_s.items():
         # One that never came back is not a number, and makes the longest none either.
-        yield kind, key, str(len(found)), f"{np.nanmedian(found):.1f} s", f"{np.max(found):.1f} s"
+        longest, half = float(np.max(found)), float(np.nanmedian(found))
+        against = f"the median of {len(found)}"
+        yield _row(f"{kind}, mended: {key} back, longest", "s", longest, half, against)
 
 
-def _latencies(record: "Record") -> Iterator[tuple[str, ...]]:
-    yield "messages", "heard", "latency from the stamp, 50 %", "95 %", "99 %"
+def _latencies(record: "Record") -> Iterator[Row]:
     heard: dict[str, list[float]] = defaultdict(list)
     for row in record.heard:
         for name, one in row["heard"].items():
             heard[name] += one["latencies"]
     for name, seconds in heard.items():
-        marks = np.percentile(seconds, [50, 95, 99]) if seconds else [np.nan] * 3
-        yield name, str(len(seconds)), *(f"{1e3 * mark:.0f} ms" for mark in marks)
+        half_s, most_s = np.percentile(seconds, [50, 99]) if seconds else [np.nan] * 2
+        what = f"{name}, stamp to heard, 99 % of {len(seconds)}"
+        yield _row(what, "ms", 1e3 * float(most_s), 1e3 * float(half_s), "50 %")
 
 
-def _losses(record: "Record") -> Iterator[tuple[str, ...]]:
+def _losses(record: "Record") -> Iterator[Row]:
     """By each node's life."""
-    yield "node, process", "counted as lost", "how many"
     for node, lost in sorted(record.heard[-1]["losses"].items()) if record.heard else ():
         for name, count in lost.items():
             if name != "level":
-                yield node, name.removesuffix(".lost"), str(count)
+                what = f"{node}: {name.removesuffix('.lost')}, counted as lost"
+                yield _row(what, "messages", count, 0.0, "none")

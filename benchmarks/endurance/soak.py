@@ -4,8 +4,8 @@
 
 A secured site in three namespaces (server, cameras, robot) runs its real programs: router, fusion,
 recorder, two cameras' agents, a bridge and a simulated robot. Every so many seconds something is
-broken, each kind in turn. `soak.json` has what was seen; `soak.md` says what it comes to: memory,
-file handles and threads of every program, latencies, losses, and how soon each was back.
+broken, each kind in turn. What it comes to: memory, file handles and threads of every program,
+latencies, losses, and how soon each was back; `soak.json` has all that was seen.
 
 What is accelerated is how often things break, nothing else: hours of memory are not made shorter.
 In the first third every kind comes in turn; after that what ends programs is left out, so that each
@@ -13,21 +13,22 @@ lives long enough for its memory to say something.
 """
 
 import itertools
-import json
 import subprocess
 import sys
 import threading
 import time
+import traceback
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from msgspec import Struct, field, to_builtins
+from msgspec import Struct, field, json
 from msgspec.structs import replace
 
 from benchmarks.network.segments import PORT, Segments, certify
+from benchmarks.table import Row
 from benchmarks.timing import family, resident_mb
 from trigpoint.contract.access import Kind
 from trigpoint.site.config import BusConfig, TlsConfig
@@ -39,7 +40,7 @@ from trigpoint.tools.simulation.world import World, load_world
 
 from .clock import SettableClock
 from .faults import FAIR, RECORDING, Fault, Faults
-from .report import report
+from .report import rows_of
 
 _SAMPLE_S = 2.0
 _UP_S = 40.0
@@ -182,7 +183,7 @@ class Soak:
     def _hear(self, watch: "subprocess.Popen[str]") -> None:
         assert watch.stdout is not None
         for text in watch.stdout:
-            row = json.loads(text)
+            row = json.decode(text)
             row["t"] -= self._began_s
             self._last |= {name: one["last"] for name, one in row["heard"].items()}
             self.record.heard.append(row)
@@ -251,18 +252,14 @@ def main(
     hours: Annotated[float, typer.Option(help="How long.", min=0.02)] = 8.0,
     every: Annotated[float, typer.Option(help="Seconds between faults.", min=5.0)] = 60.0,
     out: Annotated[Path, typer.Option(help="Where to write.")] = Path("out/soak"),
-) -> None:
-    """Run the site, break it, and write what was seen."""
+) -> list[Row]:
+    """Run the site, break it, and say what was seen."""
     out.mkdir(parents=True)
-    seconds = 3600 * hours
     with ExitStack() as stack:
-        soak = Soak(out.absolute(), stack, seconds)
-        stack.callback(write_record, soak.record, out)  # what was seen of a run that fails, too
-        soak.run(every)
-    typer.echo(f"{report(soak.record)}\nwritten to {out / 'soak.md'}")
-
-
-def write_record(record: Record, out: Path) -> None:
-    """Write soak.json and soak.md to a folder."""
-    (out / "soak.json").write_text(json.dumps(to_builtins(record)))
-    (out / "soak.md").write_text(report(record) + "\n", encoding="utf-8")
+        soak = Soak(out.absolute(), stack, 3600 * hours)
+        try:
+            soak.run(every)
+        except (OSError, RuntimeError):  # what was seen until then is said, too
+            typer.echo(traceback.format_exc(), err=True)
+    (out / "soak.json").write_bytes(json.encode(soak.record))
+    return list(rows_of(soak.record))

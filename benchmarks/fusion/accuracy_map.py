@@ -1,15 +1,14 @@
 """Whether robots are corrected as well as the map of that says.
 
-`python -m benchmarks accuracy_map [--cells N] [--sessions N] [--target T]` calibrates a
-simulated hall of eight cameras; then it draws cells and headings, and for each of them where the
-cameras truly are, from the network's own joint covariance; shows the robot to them by the simulated
-lab's rules; and lets fusion's alignment and filter correct it by those sightings and the network.
-Errors are held against the radius that the map states for the cell, and the cameras that see the
-robot against those that it says can't be done without. With `--sessions` the cameras' errors are
-not drawn but those that calibrations of so many drives truly made.
+`python -m benchmarks accuracy_map [--cells N] [--target T]` calibrates a simulated hall of eight
+cameras; then it draws cells and headings, and for each of them where the cameras truly are, from
+the network's own joint covariance; shows the robot to them by the simulated lab's rules; and lets
+fusion's alignment and filter correct it by those sightings and the network. Errors are held against
+the radius that the map states for the cell, and the cameras that see the robot against those that
+it says can't be done without.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from functools import partial
 from typing import Annotated
 
@@ -31,7 +30,6 @@ from trigpoint.fusion.pipeline import Inputs
 from trigpoint.fusion.reading.sight import information_at
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
-from trigpoint.tools.simulation.world import World
 from trigpoint.tools.simulation.world_file import TargetChoice
 
 from .drawn_corrections import Corrector, sightings
@@ -74,11 +72,8 @@ class Drawn(Struct, frozen=True, eq=False):
         return np.array([np.quantile(part, 0.95) for part in parts])
 
 
-def drawn(
-    inputs: Inputs, results: Results, cells: int, seed: int, *, true_poses: Pose | None = None
-) -> Drawn:
-    """Draw cells of the network's floor. `true_poses`: of the located cameras, drawn anew for each
-    cell where None."""
+def drawn(inputs: Inputs, results: Results, cells: int, seed: int) -> Drawn:
+    """Draw cells of the network's floor."""
     random = np.random.default_rng(seed)
     network = known_network(results.network, results.covariance)
     [carried] = carried_by(inputs.site.robots, inputs.targets, results.network)
@@ -86,7 +81,7 @@ def drawn(
     corrector = Corrector.of(inputs, network, carried.robots[0])
     base = Pose.planar(places[:, 0], places[:, 1], headings_rad()[headings])
     stated, needs, cameras = _stated(network, carried, base)
-    off = _errors(network, cells, true_poses, random)
+    off = _errors(network, cells, random)
     shown = sightings(carried.faces.target, base, network.eyes, off, _SIGMA_PX, random)
     error, needed = np.full(cells, np.inf), np.full(cells, -1)
     for row in range(cells):
@@ -98,17 +93,11 @@ def drawn(
     return Drawn(stated, error, needs, needed, cameras)
 
 
-def _errors(
-    network: KnownNetwork, cells: int, true_poses: Pose | None, random: np.random.Generator
-) -> Array:
-    """By how much each camera is off, (cells, cameras, 6): by the network's joint covariance, or by
-    where they truly are."""
-    if true_poses is None:
-        values, vectors = np.linalg.eigh(network.covariance)
-        root = vectors * np.sqrt(np.maximum(values, 0.0))
-        return (random.normal(size=(cells, len(root))) @ root.T).reshape(cells, -1, 6)
-    thought = Pose.stack([eye.map_from_camera for eye in network.eyes])
-    return np.broadcast_to(true_poses.difference(thought), (cells, len(network.eyes), 6))
+def _errors(network: KnownNetwork, cells: int, random: np.random.Generator) -> Array:
+    """By how much each camera is off by the network's joint covariance, (cells, cameras, 6)."""
+    values, vectors = np.linalg.eigh(network.covariance)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    return (random.normal(size=(cells, len(root))) @ root.T).reshape(cells, -1, 6)
 
 
 def _drawn_places(
@@ -140,11 +129,6 @@ def _stated(
     return errors.by_pose, needs, counts
 
 
-def true_cameras(world: World, results: Results) -> Pose:
-    """Where the located cameras truly hang."""
-    return Pose.stack([world.cameras[name].map_from_camera for name in results.network.located])
-
-
 def rows_of(found: Drawn) -> Iterator[Row]:
     """What came out."""
     classes = found.by_class()
@@ -168,29 +152,11 @@ def rows_of(found: Drawn) -> Iterator[Row]:
             yield _row(what, "radii", ratio, 1.0, f"stated, {mine.sum()} cells")
 
 
-def joined(parts: Sequence[Drawn]) -> Drawn:
-    """All of them as one."""
-    fields = ("stated_m", "error_m", "needs", "needed", "cameras")
-    return Drawn(*(np.concatenate([getattr(part, name) for part in parts]) for name in fields))
-
-
 def main(
     cells: Annotated[int, typer.Option(min=1, help="How many are drawn.")] = 10_000,
     seed: Annotated[int, typer.Option(help="Of the drawing.")] = 1,
-    sessions: Annotated[
-        int, typer.Option(min=0, help="Calibrations whose true errors count; 0: errors are drawn.")
-    ] = 0,
     target: Annotated[str, typer.Option(help="charuco or checkerboard.")] = "charuco",
 ) -> list[Row]:
     """Hold drawn errors against the map."""
     kind: TargetChoice = "checkerboard" if target == "checkerboard" else "charuco"
-    if not sessions:
-        inputs, results = calibrated(hall(1, kind))
-        return list(rows_of(drawn(inputs, results, cells, seed)))
-    parts = []
-    for number in range(1, sessions + 1):
-        world = hall(number, kind)
-        inputs, results = calibrated(world)
-        poses = true_cameras(world, results)
-        parts.append(drawn(inputs, results, cells // sessions, number, true_poses=poses))
-    return list(rows_of(joined(parts)))
+    return list(rows_of(drawn(*calibrated(hall(1, kind)), cells, seed)))

@@ -2,7 +2,7 @@
 
 `native`: GTSAM's own factors alone. Each picture is first solved by itself for the camera's pose
 from the robot, which enters as a relative pose with its covariance: the fastest fair form.
-`reprojection`: the smoother's own residuals of corners and of odometry, as custom factors.
+`reprojection`: the smoother's own residuals of corners, as custom factors.
 
 GTSAM disturbs a pose on its right by (rotation, translation); the contract on its left, in the
 parent's axes, by (translation, rotation). To first order δθ = Rω and δt = Rv.
@@ -45,8 +45,6 @@ class Solved(Struct, frozen=True, eq=False):
 def native(problem: Problem, start: State) -> Graph:
     """Odometry and pictures as relative poses."""
     graph = _with_chains(problem, start)
-    for chain in problem.chains.values():
-        _add_relative(graph.factors, problem, chain)
     for batch in problem.batches:
         seen = _solved_pictures(batch, start)
         key = graph.cameras[batch.camera]
@@ -59,10 +57,8 @@ def native(problem: Problem, start: State) -> Graph:
 
 
 def reprojection(problem: Problem, start: State) -> Graph:
-    """Every motion and every corner by its residual."""
+    """Every corner by its residual."""
     graph = _with_chains(problem, start)
-    for chain in problem.chains.values():
-        _add_moved(graph.factors, problem, chain)
     for batch in problem.batches:
         lens = start.cameras[batch.camera].lens
         in_base = _points_in_base(batch, start)
@@ -99,7 +95,7 @@ def solved(graph: Graph) -> Solved:
 
 
 def _with_chains(problem: Problem, start: State) -> Graph:
-    """The poses to start from, the first ones held; no motion yet."""
+    """The poses to start from, the first ones held, and their motion as relative poses."""
     factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     for robot, chain in problem.chains.items():
         nodes = start.robots[robot].map_from_base
@@ -109,6 +105,7 @@ def _with_chains(problem: Problem, start: State) -> Graph:
             exact = gtsam.noiseModel.Isotropic.Sigma(6, _EXACT)
             key = _node(robot, problem, 0)
             factors.add(gtsam.PriorFactorPose3(key, _pose3(nodes[0]), exact))
+        _add_motion(factors, problem, chain)
     cameras = {}
     for index, name in enumerate(problem.layout.pose):
         cameras[name] = gtsam.symbol("C", index)
@@ -116,8 +113,7 @@ def _with_chains(problem: Problem, start: State) -> Graph:
     return Graph(factors, values, cameras)
 
 
-def _add_relative(factors: gtsam.NonlinearFactorGraph, problem: Problem, chain: Chain) -> None:
-    """A chain's motion as relative poses."""
+def _add_motion(factors: gtsam.NonlinearFactorGraph, problem: Problem, chain: Chain) -> None:
     if chain.motion is None:
         return
     steps = chain.motion.earlier_from_later
@@ -136,40 +132,6 @@ def _in_the_plane(chain: Chain) -> Array:
         covariance[:, _UPRIGHT], covariance[:, :, _UPRIGHT] = 0.0, 0.0
         covariance[:, _UPRIGHT, _UPRIGHT] = _FLAT**2
     return covariance
-
-
-def _add_moved(factors: gtsam.NonlinearFactorGraph, problem: Problem, chain: Chain) -> None:
-    """A chain's motion by its residuals."""
-    if chain.motion is None:
-        return
-    steps = chain.motion.earlier_from_later
-    for index, covariance in enumerate(_in_the_plane(chain)):
-        noise = gtsam.noiseModel.Gaussian.Covariance(covariance)
-        keys = [_node(chain.robot, problem, index + offset) for offset in (0, 1)]
-        factors.add(gtsam.CustomFactor(noise, keys, _Moved(steps[index]).error))
-
-
-class _Moved(Struct, frozen=True, eq=False):
-    """A reported motion; its residual is `prediction.odometry_terms`'s."""
-
-    reported: Pose
-
-    def error(
-        self, factor: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[np.ndarray] | None
-    ) -> np.ndarray:
-        """Residual (6,) and its derivatives by the earlier and the later pose, (6, 6) each."""
-        earlier, later = (_pose(values.atPose3(key)) for key in list(factor.keys()))
-        between = earlier.inverse() @ later
-        turn = so3.log(between.rotation @ self.reported.rotation.T)
-        if jacobians is not None:
-            turning = np.linalg.inv(so3.left_jacobian(turn))
-            jacobians[0] = np.zeros((6, 6), order="F")
-            jacobians[0][:3, :3], jacobians[0][:3, 3:] = so3.hat(between.translation), -np.eye(3)
-            jacobians[0][3:, :3] = -turning
-            jacobians[1] = np.zeros((6, 6), order="F")
-            jacobians[1][:3, 3:] = between.rotation
-            jacobians[1][3:, :3] = turning @ between.rotation
-        return np.concatenate([between.translation - self.reported.translation, turn])
 
 
 class _Seen(Struct, frozen=True, eq=False):

@@ -23,11 +23,13 @@ from .inputs import Call, Made, drawn
 class Work(Struct, frozen=True):
     """Inputs for the core at `core`: those `numbers` of a seed, or the `calls` of one.
 
-    The number of the one in work goes to `progress`; each has `most_s` of processor time.
+    `corpus`: the file with the calls that they are made of. The number of the one in work goes to
+    `progress`; each has `most_s` of processor time.
     """
 
     core: str
     kernels: tuple[Kernel, ...]
+    corpus: Path
     seed: int
     numbers: range
     progress: Path
@@ -51,10 +53,11 @@ def main() -> None:
     """Do the work."""
     work: Work = pickle.load(sys.stdin.buffer)
     library.LIBRARY = Path(work.core)
+    corpus = {} if work.calls else pickle.loads(work.corpus.read_bytes())
     with work.progress.open("wb", buffering=0) as progress:
         for number in work.numbers:
             os.pwrite(progress.fileno(), b"%20d" % number, 0)
-            calls = work.calls or drawn(work.kernels, work.seed, number)
+            calls = work.calls or drawn(work.kernels, corpus, work.seed, number)
             signal.setitimer(signal.ITIMER_PROF, work.most_s)
             make(calls)
     signal.setitimer(signal.ITIMER_PROF, 0)

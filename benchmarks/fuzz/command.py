@@ -2,7 +2,8 @@
 
     python -m benchmarks fuzz [--count 1000000] [--seed 1] [--seconds 0] [FILE]
 
-The core is built for it with the address and undefined-behaviour sanitizers. An input that ends the
+An input is calls of the core as work on drawn pictures and sessions makes them, spoilt. The core is
+built for it with the address and undefined-behaviour sanitizers. An input that ends the
 program, or that takes too long, is written to out/fuzz with what the sanitizer says; FILE makes one
 such input again. Status 1 where there is any.
 """
@@ -16,10 +17,11 @@ from typing import Annotated
 import typer
 from msgspec.structs import replace
 
+from benchmarks.timing import in_new_process
 from trigpoint.native import build
 
 from .child import Work
-from .kernels import all_kernels
+from .corpus import all_kernels, worked
 from .runner import fuzzed, ran
 
 FOLDER = Path("out/fuzz")
@@ -44,8 +46,9 @@ def main(
         ending = ran(replace(again, core=str(core), progress=FOLDER / "progress"), preload)
         print(ending.report or "nothing was found")
         raise typer.Exit(int(ending.is_bad))
-    kernels = all_kernels()
-    work = Work(str(core), kernels, seed, range(count), FOLDER / "progress")
+    kernels, corpus = all_kernels(), FOLDER / "corpus"
+    corpus.write_bytes(pickle.dumps(in_new_process(worked, seed)))
+    work = Work(str(core), kernels, corpus, seed, range(count), FOLDER / "progress")
     begun = time.monotonic()
     found = fuzzed(work, preload, FOLDER, seconds or float("inf"))
     took = time.monotonic() - begun

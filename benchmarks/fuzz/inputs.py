@@ -1,83 +1,22 @@
-"""Inputs for the kernels, drawn from how they are declared: sound ones and spoilt ones.
+"""Inputs for the kernels: calls that were made, as they were and spoilt.
 
-An input is one kernel's call, with the calls before it that its object needs. It depends on the
+An input is one kernel's call, with the calls before it of its object. It depends on the corpus, the
 seed and its number alone.
 """
 
-from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
-from functools import lru_cache
-from typing import TypeVar
-
 import numpy as np
-from msgspec import Struct, field
+from msgspec import Struct
 
-from trigpoint.native.library import Handle, In, Kernel, Out
+from trigpoint.native.library import Handle, In, Kernel
 
-from . import live
-from .kernels import OBJECTS, object_of
-from .problem import full_system, problem, reduced
-from .scene import TEXELS, Scene
-
-T = TypeVar("T")
 POISON = (
     np.nan, np.inf, -np.inf, 1e300, -1e300, 1e18, -1e18, 3e9, -3e9, 1e-300, -1.0, 0.0, 0.5, 1e4,
 )  # fmt: skip
 POISON_INTS = (-1, 0, 1, 5, 1000, 2**31 - 1, -(2**31), 2**62, -(2**63), 2**63 - 1)
-FIT = 45
-# Parameters that must fit together before a kernel looks at more.
-SOUND: dict[str, Callable[[Scene], Mapping[int, np.ndarray | float]]] = {
-    "tp_pattern_set": lambda scene: {1: scene.places, 2: 0 * scene.places, 3: 0.5, 4: 1.0},
-    "tp_pattern_print": lambda scene: {1: scene.printed} | dict.fromkeys((2, 3, 4), float(TEXELS)),
-    "tp_measured": lambda scene: {0: scene.shown, 3: scene.pixels, 5: np.array([0.4, 0.4, 0, 0])},
-    "tp_placed": lambda scene: {
-        2: float(scene.size[1]), 3: float(scene.size[0]), 6: 0.5, 7: 0.3,
-    },
-    "tp_weighed": lambda scene: {
-        0: scene.shown, 1: scene.columns, 2: scene.rows,
-        4: np.arange(1.0 * len(scene.places)), 5: scene.pixels,
-    },
-    "tp_grown": lambda scene: {2: scene.columns + scene.rows},
-    "tp_corner_terms": lambda scene: {12: 1, 13: int(scene.cell > 0)},
-    "tp_fit_plane": lambda scene: {0: scene.places, 1: scene.pixels},
-    "tp_settled_fit": lambda scene: {0: scene.places, 1: scene.pixels, 4: 0.03},
-    "tp_scatter": lambda scene: {1: scene.places, 2: scene.pixels},
-    "tp_misfit": lambda scene: {2: np.sign(np.arange(len(scene.places)))},
-    "tp_likeliest_wrong": lambda scene: {2: np.sign(np.arange(len(scene.places)))},
-    "tp_cells": lambda scene: {0: scene.shown, 1: scene.quads, 3: 5.0},
-    "tp_marker_groups": lambda scene: {
-        0: np.arange(len(scene.places)), 1: scene.quads, 3: scene.squares,
-        2: np.linspace(1.0, 0.5, len(scene.places)),
-    },
-    "tp_paths": lambda scene: {0: np.ascontiguousarray(scene.places[:, ::-1], np.int64), 1: 0},
-    "tp_sound_corners": lambda scene: {0: scene.places, 1: scene.pixels, 4: 0.7, 6: -1.0},
-}  # fmt: skip
-# All arguments, but for an object that comes first, where nothing of them may be drawn by itself.
-WHOLE: dict[str, Callable[[np.random.Generator], list[object]]] = {
-    "tp_minimised": problem,
-    "tp_reduced": lambda _: reduced(),
-    "tp_full_system": lambda _: full_system(),
-    **{
-        f"tp_{made.__name__}": made
-        for made in (
-            live.carried_on,
-            live.odometry_step,
-            live.near_extended,
-            live.near_moved,
-            live.near_updated,
-            live.aligned,
-            live.aligned_nearly,
-            live.aligned_robustly,
-            live.corner_factor,
-        )
-    },
-}
-SOUND_SHARE = 0.8
-# Inputs that are one sound one, each spoilt in another way but the first.
+# Inputs that are the same calls, each spoilt in another way but the first.
 VARIANTS = 8
-MOST_ROWS = 12
-MOST_FOUND = 6400
-MOST_INDEX = 3
+_LAST_SHARE, _CUT_SHARE, _ODD_SHARE = 0.8, 0.4, 0.2
+_MOST_ROWS = 12
 
 
 class Made(Struct, frozen=True):
@@ -87,16 +26,30 @@ class Made(Struct, frozen=True):
 
 
 Call = tuple[Kernel, list[object]]
+Corpus = dict[str, list[list[Call]]]
+"""By the kernel's name: calls of it, each behind some before it of the same object."""
 
 
-def drawn(kernels: tuple[Kernel, ...], seed: int, number: int) -> list[Call]:
+def drawn(kernels: tuple[Kernel, ...], corpus: Corpus, seed: int, number: int) -> list[Call]:
     """The calls of an input, in order."""
     group, variant = divmod(number, VARIANTS)
-    calls = [(kernel, list(map(_copy, values))) for kernel, values in _sound(kernels, seed, group)]
+    rng = np.random.default_rng((seed, group))
+    kernel = kernels[group % len(kernels)]
+    known = corpus.get(kernel.name, ())
+    # Now and then a call by itself, or one that nobody has made: by the declaration alone.
+    if not known or rng.random() < _ODD_SHARE / 2:
+        chain = [(kernel, _declared(rng, kernel))]
+    else:
+        chain = known[int(rng.integers(len(known)))]
+        chain = chain[-1:] if rng.random() < _ODD_SHARE / 2 else chain
+    calls = [(each, list(map(_copy, values))) for each, values in chain]
     if variant:
         rng = np.random.default_rng((seed, group, variant))
-        at = -1 if rng.random() < SOUND_SHARE else int(rng.integers(len(calls)))
-        _spoil(rng, calls[at][1])
+        at = -1 if rng.random() < _LAST_SHARE else int(rng.integers(len(calls)))
+        if rng.random() < _CUT_SHARE:
+            _cut(rng, *calls[at])
+        if rng.random() >= _CUT_SHARE / 2:
+            _spoil(rng, calls[at][1])
     return calls
 
 
@@ -105,20 +58,50 @@ def _copy(value: object) -> object:
     return value.copy() if isinstance(value, np.ndarray) else value
 
 
-@lru_cache(1)
-def _sound(kernels: tuple[Kernel, ...], seed: int, group: int) -> list[Call]:
-    rng = np.random.default_rng((seed, group))
-    kernel = kernels[group % len(kernels)]
-    chain = [kernel]
-    if name := object_of(kernel):
-        names = OBJECTS[name]
-        mates = [mate for name in names for mate in kernels if mate.name == name]
-        if rng.random() < SOUND_SHARE:
-            chain = mates[: mates.index(kernel) + 1]
-        else:
-            chain = [mates[i] for i in rng.integers(0, len(mates), rng.integers(0, 4))] + chain
-    draw = Draw(rng, Scene(rng))
-    return [(each, draw.arguments(each)) for each in chain]
+def _declared(rng: np.random.Generator, kernel: Kernel) -> list[object]:
+    """Arguments that the declaration lets pass."""
+    lengths: dict[str, int] = {}
+
+    def argument(parameter: In | type) -> object:
+        if not isinstance(parameter, In):
+            is_object = issubclass(parameter, Handle)
+            return Made(parameter) if is_object else parameter(rng.integers(0, 3))
+        shape = tuple(
+            lengths.setdefault(axis, int(rng.integers(0, _MOST_ROWS)))
+            if isinstance(axis, str)
+            else axis
+            for axis in parameter.shape
+        )
+        is_real = parameter.dtype is np.float64
+        drawn = rng.normal(size=shape) if is_real else rng.integers(0, 3, shape)
+        return drawn.astype(parameter.dtype)
+
+    return [argument(parameter) for parameter in kernel.parameters]
+
+
+def _cut(rng: np.random.Generator, kernel: Kernel, values: list[object]) -> None:
+    """Give one of the lengths that are free another value: rows are left out, or come again."""
+    places = [
+        (name, at, axis)
+        for at, parameter in enumerate(kernel.parameters)
+        for axis, name in enumerate(parameter.shape if isinstance(parameter, In) else ())
+        if isinstance(name, str)
+    ]
+    if not places:
+        return
+    letter, first, along = places[rng.integers(len(places))]
+    old = np.asarray(values[first]).shape[along]
+    length = max(0, int(rng.choice([0, 1, old // 2, old - 1, old + 1, 2 * old])))
+    for name, at, axis in places:
+        if name == letter:
+            rows = np.arange(length) % max(old, 1)
+            there = np.asarray(values[at])
+            there = np.take(there, rows, axis) if old else _none(there, axis, length)
+            values[at] = np.ascontiguousarray(there)
+
+
+def _none(array: np.ndarray, axis: int, length: int) -> np.ndarray:
+    return np.zeros((*array.shape[:axis], length, *array.shape[axis + 1 :]), array.dtype)
 
 
 def _spoil(rng: np.random.Generator, values: list[object]) -> None:
@@ -134,116 +117,3 @@ def _spoil(rng: np.random.Generator, values: list[object]) -> None:
             values[at] = POISON_INTS[rng.integers(len(POISON_INTS))]
         elif isinstance(value, float):
             values[at] = POISON[rng.integers(len(POISON))]
-
-
-def _is_free(value: object) -> bool:
-    """Whether none of a call's other arguments must be as long: a number's, a picture's."""
-    return not isinstance(value, np.ndarray) or value.dtype == np.uint8
-
-
-class Draw(Struct):
-    """Draws arguments about one scene; `lengths`: of the call's letters."""
-
-    rng: np.random.Generator
-    scene: Scene
-    lengths: dict[str, int] = field(default_factory=dict)
-
-    def arguments(self, kernel: Kernel) -> list[object]:
-        """Such as the kernel's declaration lets pass."""
-        self.lengths = {}
-        if kernel.name in WHOLE and self.rng.random() < SOUND_SHARE:
-            first = kernel.parameters[0]
-            given = [] if isinstance(first, In) else [self._argument(first)]
-            return [*given, *WHOLE[kernel.name](self.rng)]
-        values = [self._argument(parameter) for parameter in kernel.parameters]
-        if kernel.name in SOUND and self.rng.random() < SOUND_SHARE:
-            for at, value in SOUND[kernel.name](self.scene).items():
-                if _is_free(values[at]) or np.shape(value) == getattr(values[at], "shape", ()):
-                    values[at] = value
-        return values
-
-    def _one_of(self, choices: Sequence[T]) -> T:
-        return choices[int(self.rng.integers(len(choices)))]
-
-    def _argument(self, parameter: In | type) -> object:
-        scene = self.scene
-        if isinstance(parameter, In):
-            shape = tuple(self._length(axis, parameter) for axis in parameter.shape)
-            drawn = self._array(parameter, shape)
-            return np.array(np.broadcast_to(drawn, shape), parameter.dtype, order="C")
-        if issubclass(parameter, Handle):
-            return Made(parameter)
-        if parameter is int:
-            return int(self._one_of((0, 1, 1, 2, scene.columns, scene.rows, max(scene.size))))
-        height, width = scene.size
-        return float(self._one_of((0.0, 0.1, 0.5, 1.0, 3.0, -1.0, scene.cell, width, height)))
-
-    def _length(self, axis: int | str, parameter: In) -> int:
-        if isinstance(axis, int):
-            return axis
-        if axis not in self.lengths:
-            is_room = (
-                parameter.is_written
-                and parameter.shape[0] == axis
-                and len(parameter.shape) == 2
-                and parameter.shape[1] != axis
-            )
-            length = MOST_FOUND if is_room and self.rng.random() < 0.7 else self._free_length(axis)
-            self.lengths[axis] = length
-        return self.lengths[axis]
-
-    def _free_length(self, axis: str) -> int:
-        rng, known = self.rng, defaultdict(lambda: 1, self.lengths)
-        is_sound = rng.random() < 0.9
-        if axis in "hw":
-            return self.scene.size["hw".index(axis)]
-        if axis == "n" and is_sound:
-            return self.scene.columns * self.scene.rows
-        if axis == "markers" and is_sound:  # of a face
-            return known["n"]
-        if axis == "p" and is_sound:  # of a lens
-            return int(self._one_of((8, 9, 12)))
-        if axis == "t" and is_sound:
-            return int(self._one_of((0, known["n"])))
-        if axis == "s" and is_sound:
-            return int(self._one_of((0, 12)))
-        if axis == "q" and is_sound:  # unknowns, of which `c` are the derivatives; or any
-            return known["c"] // 2 if "c" in known else int(self._one_of((6, 8, 17)))
-        if axis == "a" and is_sound:  # of a floor or a room
-            return int(self._one_of((2, 3)))
-        if axis == "d" and is_sound:  # of a robot's pose
-            return int(self._one_of((3, 6)))
-        if axis == "f" and is_sound:  # faces
-            return MOST_INDEX
-        if axis == "c" and is_sound:  # columns of a Jacobian by all that it may have
-            return 2 * (known["d"] + 6 + known["p"] + 2 * (known["t"] > 0) + 6 * known["f"])
-        longest = 20 * MOST_ROWS if axis == "n" else MOST_ROWS
-        return int(rng.integers(0, self._one_of((2, MOST_ROWS, longest))))
-
-    def _array(self, parameter: In, shape: tuple[int, ...]) -> np.ndarray:
-        rng, scene = self.rng, self.scene
-        if parameter.dtype == np.uint8:
-            return scene.picture()
-        if parameter.dtype != np.float64:
-            return rng.integers(0, 2 if parameter.dtype == np.bool_ else MOST_INDEX, shape)
-        if shape[0] == MOST_FOUND:
-            return np.zeros(shape)
-        if shape == (FIT,):
-            return scene.fit
-        if len(shape) > 1 and shape[-1] == shape[-2]:
-            return np.eye(shape[-1]) + self._one_of((0.0, 0.1)) * rng.normal(size=shape)
-        if parameter.shape[0] == "p":
-            return np.resize([200.0, 200.0, 50.0, 40.0, 0.1, 0.01, 0.001, 0.0], shape)
-        rows = (
-            {2: (scene.places, scene.pixels), 5: (scene.grid,)}.get(shape[-1], ())
-            if parameter.shape[0] == "n" and len(shape) == 2 and not isinstance(parameter, Out)
-            else ()
-        )
-        if rows and rng.random() < 0.9:
-            return np.resize(rows[rng.integers(len(rows))], shape)
-        if parameter.shape == ("k", 3):
-            return np.resize([scene.columns, scene.rows, 0.0, scene.rows + 1.0, 4.0, 1.0], shape)
-        if len(shape) == 1 and rng.random() < 0.5:
-            return np.arange(float(shape[0])) if rng.random() < 0.5 else np.ones(shape)
-        values = self._one_of((0.0, 0.1, 1.0, 100.0)) * rng.normal(size=shape)
-        return values + np.array([0.0, 0.0, 3.0]) if shape[-1:] == (3,) else values

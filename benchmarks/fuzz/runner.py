@@ -107,7 +107,8 @@ def _keep(work: Work, ending: Ending, folder: Path, found: Found) -> None:
     if ending.place in found.places:
         return
     found.places.add(ending.place)
-    calls = drawn(work.kernels, work.seed, ending.number)
+    corpus = pickle.loads(work.corpus.read_bytes())
+    calls = drawn(work.kernels, corpus, work.seed, ending.number)
     file = folder / f"{calls[-1][0].name}-{work.seed}-{ending.number}.pickle"
     one = replace(work, numbers=range(ending.number, ending.number + 1), calls=calls)
     file.write_bytes(pickle.dumps(one))

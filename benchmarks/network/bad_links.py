@@ -12,19 +12,19 @@ links what the scenario says, and returns what came of it.
 
 With minutes two sites run at the same time, so that whatever else the machine does delays both. On
 one each link loses 5 % of the packets, and every three minutes the router is killed and is away for
-three seconds (the first time once every cache is full); the other has neither. Corrections' 99th
-percentile there is the measure for here. Of the nodes it is said how memory and threads grew.
+three seconds (the first time once every cache is full); the other has neither, and is the measure.
+Of the nodes it is said how memory and threads grew.
 """
 
 import json
-import os
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -35,13 +35,15 @@ import typer
 from msgspec import Struct, field
 from msgspec.structs import replace
 
+from benchmarks.table import Row
 from benchmarks.timing import resident_mb
 from trigpoint.contract.access import Kind
 
 from .impairment import Impairment
-from .node import Row
+from .node import Came
 from .segments import PORT, Segments, certify
 
+_row = partial(Row, "networks")
 _SETTLE_S = 1.0
 """After all are connected: until each has learnt of the others' subscriptions."""
 _SEGMENTS = ("camera", "robot", "fusion")
@@ -66,7 +68,7 @@ class Key(Struct, frozen=True):
     monotonic clock; `counted`: how many its subscriber was told to be lost."""
 
     sent: int
-    rows: list[Row]
+    rows: list[Came]
     counted: int
 
     @property
@@ -273,15 +275,6 @@ def coming_late(after_s: float) -> Callable[[Site], None]:
     return killing(after_s, 0.0)
 
 
-def line(name: str, key: Key) -> str:
-    """One key for people."""
-    return (
-        f"{name:11} sent {key.sent:5} lost {key.lost:4} (counted {key.counted}) twice {key.twice} "
-        f"latency p50 {1e3 * key.quantile_s(0.5):7.1f} p95 {1e3 * key.quantile_s(0.95):7.1f} "
-        f"p99 {1e3 * key.quantile_s(0.99):7.1f} ms, longest gap {key.longest_gap_s():.1f} s"
-    )
-
-
 class Restarts(Struct):
     """An action: the router's power is cut again and again. `returns_s`: when it was back; `sizes`:
     of the nodes just before each cut and at the end."""
@@ -324,32 +317,38 @@ SCENARIOS: dict[str, Scenario] = {
 }
 
 
-def twins(seconds: float, restarts: Restarts) -> dict[str, dict[str, Key]]:
-    """What came of each key, in the site that is disturbed and in the one that is not."""
+def rows_of(what: str, keys: dict[str, Key]) -> Iterator[Row]:
+    """What came of each key."""
+    for name, key in sorted(keys.items()):
+        each = f"{what}, {name}"
+        half_ms, most_ms = (1e3 * key.quantile_s(share) for share in (0.5, 0.99))
+        yield _row(f"{each}: put to queue, 99 %", "ms", most_ms, half_ms, "50 %")
+        yield _row(f"{each}: the longest without", "s", key.longest_gap_s(), 0.0, "none")
+        yield _row(f"{each}: lost", "messages", key.lost, key.sent, "sent")
+        yield _row(f"{each}: lost, not counted", "messages", key.uncounted, key.lost, "lost")
+        yield _row(f"{each}: twice", "messages", key.twice, key.sent, "sent")
+
+
+def twins(seconds: float, restarts: Restarts) -> Iterator[Row]:
+    """What came in the site that is disturbed, beside the one that is not."""
     bad = Scenario(BAD, seconds=seconds, action=restarts, linger_s=_LINGER_S, protocols=DATAGRAMS)
     good = replace(bad, impairment=replace(BAD, loss=0.0), action=bool)
     with ThreadPoolExecutor(2) as threads:
-        disturbed, undisturbed = threads.map(run, (bad, good))
-    return {"disturbed": disturbed, "undisturbed": undisturbed}
-
-
-def _tell_twins(minutes: float, every_s: float) -> None:
-    restarts = Restarts(every_s, 60 * minutes - _LAST_S)
-    found = twins(60 * minutes, restarts)
-    for site, keys in found.items():
-        print(site)
-        for name, key in sorted(keys.items()):
-            print(f"  {line(name, key)}, uncounted {key.uncounted}")
-    for name, key in sorted(found["disturbed"].items()):
+        found, undisturbed = threads.map(run, (bad, good))
+    yield from rows_of("disturbed", found)
+    yield from rows_of("undisturbed", undisturbed)
+    for name, key in sorted(found.items()):
         back_s = [key.back_s(mended_s) for mended_s in restarts.returns_s]
-        each = ", ".join(f"{one:.1f}" for one in back_s)
-        print(f"{name} back after the router's return, at most {max(back_s):.1f}: {each} s")
+        what, against = f"{name}, back after the router", f"the median of {len(back_s)}"
+        yield _row(f"{what}, longest", "s", max(back_s), float(np.median(back_s)), against)
+    half = len(restarts.sizes) // 2
     for role in restarts.sizes[0]:
-        each = ", ".join("{:.1f} MB {}".format(*sizes[role]) for sizes in restarts.sizes)
-        print(f"{role}'s memory and threads before each cut and at the end: {each}")
-    late_s, twins_s = (keys["correction"].quantile_s(0.99) for keys in found.values())
-    print(f"corrections' p99 over undisturbed: {late_s / twins_s:.2f}")
-    print(f"load of the last quarter of an hour: {os.getloadavg()[2]:.1f}")
+        early, last = restarts.sizes[half][role], restarts.sizes[-1][role]
+        against = f"before cut {half + 1}"
+        yield _row(f"{role}, memory at the end", "MB", last[0], early[0], against)
+        yield _row(f"{role}, threads at the end", "threads", last[1], early[1], against)
+    late, other = (1e3 * keys["correction"].quantile_s(0.99) for keys in (found, undisturbed))
+    yield _row("corrections, put to queue, 99 %", "ms", late, other, "undisturbed")
 
 
 def main(
@@ -360,12 +359,8 @@ def main(
         float | None, typer.Option(help="Of loss and restarts, beside an undisturbed twin.")
     ] = None,
     every: Annotated[float, typer.Option(help="Seconds from restart to restart.")] = _EVERY_S,
-) -> None:
-    """Every scenario or some, a line for each key."""
+) -> list[Row]:
+    """Every scenario or some."""
     if minutes is not None:
-        _tell_twins(minutes, every)
-        return
-    for name in names or SCENARIOS:
-        print(name, flush=True)
-        for key, what in sorted(run(SCENARIOS[name]).items()):
-            print(f"  {line(key, what)}", flush=True)
+        return list(twins(60 * minutes, Restarts(every, 60 * minutes - _LAST_S)))
+    return [row for name in names or SCENARIOS for row in rows_of(name, run(SCENARIOS[name]))]

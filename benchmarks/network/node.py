@@ -28,7 +28,7 @@ from trigpoint.contract.topics import Topic
 from trigpoint.site.config import load_site
 from trigpoint.zenoh import open_bus
 
-Row = tuple[int, int, int]
+Came = tuple[int, int, int]
 
 _STAMP = struct.Struct("<Qq")
 PICTURE_BYTES = 60_000
@@ -148,16 +148,16 @@ def _listen(subscription: Subscription, came: "array[int]", stopping: threading.
         came.extend(_row(sample))
 
 
-def _rows(numbers: "array[int]") -> list[Row]:
+def _rows(numbers: "array[int]") -> list[Came]:
     return list(zip(numbers[0::3], numbers[1::3], numbers[2::3], strict=True))
 
 
-def _row(sample: Sample) -> Row:
+def _row(sample: Sample) -> Came:
     number, sent_ns = _STAMP.unpack_from(sample.payload)
     return number, sent_ns, time.monotonic_ns()
 
 
-def _missed_corrections(rows: list[Row]) -> int:
+def _missed_corrections(rows: list[Came]) -> int:
     """How many a bridge counts as missed: nobody else asks for them."""
     missed, map_id = MissedCorrections(), UUID(int=0)
     return sum(missed.before(CorrectionMark(map_id, number), "") for number, _, _ in rows)

@@ -11,12 +11,11 @@ from benchmarks.compositions.recipe import KINDS
 from benchmarks.compositions.session import composed_session
 from trigpoint.base.errors import TrigpointError
 
-from . import report_compositions, report_situations
+from .report import line_of, write_compositions, write_situations
 from .result import Result
 from .situations import SITUATIONS
 from .store import ESTIMATORS, Job, Store, jobs_of, open_jobs
 from .store import run as run_jobs
-from .summary import line_of
 
 FOLDER = Path("out/study")
 PAGES = Path("docs/background")
@@ -73,18 +72,15 @@ def run(
 @app.command()
 def report(
     folder: _Folder = FOLDER,
-    docs: Annotated[Path, typer.Option(help="Where the pages go.")] = PAGES,
-    of_any_sources: Annotated[
-        bool, typer.Option("--of-any-sources", help="Take also what other sources found.")
-    ] = False,
+    docs: Annotated[Path, typer.Option(help="Where the pages are.")] = PAGES,
 ) -> None:
-    """Write docs/background/accuracy.md of situations and compositions.md of compositions, each
-    where there is something."""
+    """Put the tables into docs/background/accuracy.md of situations and compositions.md of
+    compositions, each where there is something."""
     store, written = Store(folder), list[Path]()
-    for names, page in ((SITUATIONS, report_situations), (KINDS, report_compositions)):
-        found = {name: store.kept(name, of_any_sources=of_any_sources) for name in names}
+    for names, write_page in ((SITUATIONS, write_situations), (KINDS, write_compositions)):
+        found = {name: store.kept(name) for name in names}
         if any(one.estimator == "smoother" for results in found.values() for one in results):
-            written.append(page.write_report(found, docs))
+            written.append(write_page(found, docs))
     if not written:
         why = "the smoother worked nothing out yet with these sources; say run"
         typer.echo(f"{folder}: {why}", err=True)

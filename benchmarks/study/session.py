@@ -26,8 +26,7 @@ from trigpoint.site.config import (
 from trigpoint.tools.networks.cramer_rao import Bound
 from trigpoint.tools.simulation.world import World
 
-from .decidable_lifts import left_open
-from .decidable_robots import left_open_by_robots
+from .decidable import left_open
 from .in_memory import Simulated, simulated
 from .oracle import bound_of, known_to_oracle
 from .situations import NEW_CAMERA, SITUATIONS, Known, Situation
@@ -58,7 +57,7 @@ class StudySession(Struct, frozen=True, eq=False):
     def left_open(self) -> set[str]:
         """The cameras whose place the data leave open."""
         data, oracle = known_to_oracle(self.inputs, self.simulated)
-        return left_open(data, oracle) | left_open_by_robots(data, oracle)
+        return left_open(data, oracle)
 
 
 def simulated_session(name: str, seed: int, *, estimator: str = "smoother") -> StudySession:

@@ -63,7 +63,7 @@ class Store:
         with self._path(result.session).open("ab") as file:
             file.write(line + b"\n")
 
-    def kept(self, name: str, *, of_any_sources: bool = False) -> list[Result]:
+    def kept(self, name: str) -> list[Result]:
         """What there is of a situation or a kind of composition, each session once."""
         path = self._path(name)
         found: dict[tuple[str, int], Result] = {}
@@ -72,7 +72,7 @@ class Store:
                 line = msgspec.json.decode(text, type=_Line)
             except msgspec.DecodeError:
                 continue  # the last one of a study that was killed may be torn
-            if of_any_sources or line.sources == sources():
+            if line.sources == sources():
                 found[line.result.estimator, line.result.seed] = line.result
         return [found[key] for key in sorted(found)]
 

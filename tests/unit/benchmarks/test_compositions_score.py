@@ -7,11 +7,10 @@ import pytest
 
 from benchmarks.compositions.recipe import Recipe
 from benchmarks.compositions.session import Composition, session_of
-from benchmarks.study.report_compositions import summary_lines, write_report
+from benchmarks.study.report import line_of, write_compositions
 from benchmarks.study.result import Outcome, Result, Verdict
 from benchmarks.study.score import score_of, scored
 from benchmarks.study.store import Store
-from benchmarks.study.summary import line_of
 from trigpoint.geometry import Pose
 from trigpoint.map.network import (
     AlternativeRecord,
@@ -113,7 +112,7 @@ def test_scores_are_kept_and_a_torn_line_is_passed_over(
 def test_the_page_counts_and_names_what_is_wrong(tmp_path: Path, session: Composition) -> None:
     off = np.array([0.5, 0, 0, 0, 0, 0])
     scores = [_judged(tmp_path, session, {"c1": np.zeros(6), "c2": off})]
-    text = write_report({"loop-alike": scores}, tmp_path).read_text()
+    text = write_compositions({"loop-alike": scores}, tmp_path).read_text()
     assert "- loop-alike 2 smoother: 2/3 located" in text
-    [row] = [line for line in summary_lines({"loop-alike": scores}) if "known faces" in line]
+    [row] = [line for line in text.splitlines() if "known faces" in line]
     assert "**1**" in row

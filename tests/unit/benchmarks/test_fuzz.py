@@ -3,20 +3,27 @@
 import pickle
 from pathlib import Path
 
+import numpy as np
 import pytest
 from msgspec.structs import replace
 
 from benchmarks.fuzz.child import Work
+from benchmarks.fuzz.corpus import all_kernels, found_boards, recorded
 from benchmarks.fuzz.inputs import VARIANTS
-from benchmarks.fuzz.kernels import all_kernels
 from benchmarks.fuzz.runner import fuzzed, ran
+from benchmarks.study.session import simulated_session, worked_out
 from trigpoint.native.library import LIBRARY, Kernel
 
 
 def test_no_drawn_input_harms_the_core(tmp_path: Path) -> None:
-    kernels = all_kernels()
+    with recorded(np.random.default_rng(1)) as calls:
+        for pattern in ("checkerboard", "charuco"):
+            found_boards(pattern, 1)
+        worked_out(simulated_session("one_picture", 1))
+    corpus, kernels = tmp_path / "corpus", all_kernels()
+    corpus.write_bytes(pickle.dumps(calls))
     count = 2 * VARIANTS * len(kernels)  # every kernel is met twice
-    work = Work(str(LIBRARY), kernels, 1, range(count), tmp_path / "progress")
+    work = Work(str(LIBRARY), kernels, corpus, 1, range(count), tmp_path / "progress")
     found = fuzzed(work, (), tmp_path, float("inf"))
     assert (found.inputs, found.places) == (count, set())
 
@@ -24,7 +31,10 @@ def test_no_drawn_input_harms_the_core(tmp_path: Path) -> None:
 def test_an_input_that_ends_the_program_is_written_down(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    work = Work(str(LIBRARY), (Kernel("abort", int),), 1, range(2), tmp_path / "progress")
+    corpus = tmp_path / "corpus"
+    corpus.write_bytes(pickle.dumps({}))
+    kernels = (Kernel("abort", int),)
+    work = Work(str(LIBRARY), kernels, corpus, 1, range(2), tmp_path / "progress")
     found = fuzzed(work, (), tmp_path, float("inf"))
     assert (found.inputs, found.bad) == (2, 2)
     [file] = tmp_path.glob("*.pickle")  # both are one fault
