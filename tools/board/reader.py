@@ -1,16 +1,16 @@
-"""Reads the site: ten times a second what is newest on the bus becomes what the pages show."""
+"""Reads the site: twenty times a second what is newest on the bus becomes what the pages show."""
 
 import logging
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 
 from msgspec.structs import replace
 
 from trigpoint import CONTRACT, __version__
 from trigpoint.base.clock import to_seconds
 from trigpoint.base.errors import BusError, MessageError
-from trigpoint.bus.bus import Bus, Sample, Subscription
+from trigpoint.bus.bus import Bus, Latest, Sample, Subscription
 from trigpoint.contract import topics
 from trigpoint.contract.messages import (
     Diagnostics,
@@ -35,17 +35,16 @@ from .history import History
 from .pictures import Pictures
 from .scene import Scene
 
-PERIOD_S = 0.1
+PERIOD_S = 0.05
 NAME = "board"
 _LOOK_S = 1.0
 _HEARD_S = 3.5
 """Nodes send diagnostics once a second; three that are missing are a silence."""
-_QUEUE = 4096
+_REPORTS = replace(topics.DIAGNOSTICS, queue=4096)
 _READ = (
+    topics.ROBOT_POSE,
     topics.CAMERA_POSE,
     topics.COVERAGE,
-    topics.ROBOT_POSE,
-    topics.CORRECTION,
     topics.SUGGESTION,
     topics.COVERAGE_GRID,
 )
@@ -54,7 +53,8 @@ _log = logging.getLogger(__name__)
 
 
 class Reader:
-    """Used on one thread, but for `heard`. Of a key's messages only the newest is decoded."""
+    """Used on one thread, but for `heard` and `picture`. Of a key's messages only the newest is
+    decoded."""
 
     def __init__(
         self,
@@ -67,7 +67,7 @@ class Reader:
     ) -> None:
         """`about`: what the pages should know of the program."""
         self._site, self._feed, self._history, self._pictures = site, feed, history, pictures
-        self._scene = Scene(site.cameras, site.robots)
+        self._scene = Scene(site.name, site.cameras, site.robots)
         self._floor, self._alarms, self.health = Floor(site), Alarms(), Health()
         self._about = {"name": site.name, "link": "the bus is being opened"} | about
         self._grid: GridPicture | None = None
@@ -86,18 +86,23 @@ class Reader:
 
     def begin(self) -> None:
         """Show the site as its file has it, before there is a bus."""
-        shown: dict[str, Fields | None] = {**self._scene.changed(time.time_ns())}
+        shown: dict[str, Fields | None] = {**self._scene.changed()}
         self._show(shown | {"site": self._about, "plan": self._floor.fields})
 
     def run(self, bus: Bus, stopping: threading.Event) -> None:
-        subscriptions = [(topic, self._subscribe(bus, topic)) for topic in _READ]
-        heard = self._subscribe(bus, topics.DIAGNOSTICS)
+        latest = [(topic, bus.latest(topic, topic.expression(self._site.name))) for topic in _READ]
+        reports = bus.subscribe(_REPORTS, _REPORTS.key(self._site.name))
+        for topic, incoming in (*latest, (_REPORTS, reports)):
+            self.health.watch(topic.name, incoming)
         asking = threading.Thread(target=self._ask, args=(bus, stopping), name="board alive")
         asking.start()
         due_s = self._apart_s = time.monotonic()
         try:
             while not stopping.is_set():
-                self._turn(bus, subscriptions, heard)
+                self._read(latest)
+                if time.monotonic() - self._looked_s >= _LOOK_S:
+                    self._looked_s = time.monotonic()
+                    self._look(bus, reports)
                 due_s = max(due_s + PERIOD_S, time.monotonic())
                 stopping.wait(due_s - time.monotonic())
         finally:
@@ -111,33 +116,23 @@ class Reader:
         found = [(ns, status) for s, ns, status in list(self._statuses.values()) if s > since_s]
         return [own, *(Diagnostics(stamp_ns, (status,)) for stamp_ns, status in found)]
 
-    def _subscribe(self, bus: Bus, topic: Topic) -> Subscription:
-        wide = replace(topic, queue=_QUEUE)
-        expression = topic.expression(self._site.name)
-        subscription = bus.subscribe(wide, expression, in_turns=True)
-        self.health.watch(topic.name, subscription)
-        return subscription
-
-    def _turn(
-        self, bus: Bus, subscriptions: list[tuple[Topic, Subscription]], heard: Subscription
-    ) -> None:
-        for topic, subscription in subscriptions:
-            # Of each key only the last; the others are past already.
-            for sample in {sample.key: sample for sample in _waiting(subscription)}.values():
+    def _read(self, latest: list[tuple[Topic, Latest]]) -> None:
+        for topic, incoming in latest:
+            for sample in incoming.take():
                 self._take(topic, sample)
-        for sample in _waiting(heard):
-            self._hear(sample)
-        entities: dict[str, Fields | None] = {**self._scene.changed(time.time_ns())}
-        if time.monotonic() - self._looked_s >= _LOOK_S:
-            self._looked_s = time.monotonic()
-            entities |= self._look(bus)
-            self._pictures.end_idle()
-        self._show(entities)
+        self._show(self._scene.changed())
+
+    def _look(self, bus: Bus, reports: Subscription) -> None:
+        """What is seen once a second, after what moves has been shown."""
+        for _ in range(reports.depth):  # what comes meanwhile is heard next time
+            if (sample := reports.take(0.0)) is not None:
+                self._hear(sample)
+        self._scene.age(time.time_ns())
+        self._pictures.end_idle()
+        self._show(self._overview(bus))
 
     def _take(self, topic: Topic, sample: Sample) -> None:
         name = node_of(sample.key)
-        if not self._scene.needs(topic, name, sample.received_ns):
-            return
         message = self._sound(topic, sample)
         if message is None:
             return
@@ -145,7 +140,7 @@ class Reader:
             self._grid = grid_picture(message.cell_m, message.origin, message.values)
             return
         self._scene.take(topic, name, message, sample.received_ns)
-        if isinstance(message, PoseEstimate) and topic is not topics.CORRECTION:
+        if isinstance(message, PoseEstimate):
             self._floor.take("camera" if topic is topics.CAMERA_POSE else "robot", name, message)
 
     def _sound(self, topic: Topic, sample: Sample) -> Message | None:
@@ -161,11 +156,9 @@ class Reader:
             for status in message.statuses:
                 unique = f"{status.name} {status.values.get('node', '')}"
                 self._statuses[unique] = (time.monotonic(), message.stamp_ns, status)
-                kind, _, name = status.name.partition("/")
-                if kind == "edge":
-                    self._scene.report(name, status.values, sample.received_ns)
+                self._scene.report(status.name, status.values, sample.received_ns)
 
-    def _look(self, bus: Bus) -> dict[str, Fields | None]:
+    def _overview(self, bus: Bus) -> dict[str, Fields | None]:
         """The site in words; of its nodes only where these had time to speak."""
         self._own = self._own_status()
         unreached = ", ".join(bus.unreached)
@@ -218,10 +211,3 @@ class Reader:
                 self._tokens = bus.alive(alive_key(self._site.name, "*", "*"), timeout_s=_LOOK_S)
             except BusError as reason:
                 _log.debug("%s", reason)
-
-
-def _waiting(subscription: Subscription) -> Iterator[Sample]:
-    """What waits now; what comes meanwhile has the next turn."""
-    for _ in range(subscription.depth):
-        if (sample := subscription.take(0.0)) is not None:
-            yield sample

@@ -35,10 +35,14 @@ _OUTLINE_M = 0.05
 class Scene:
     """What is known of each camera and robot. Times are when a message was received, ns."""
 
-    def __init__(self, cameras: Iterable[str], robots: Iterable[str]) -> None:
+    def __init__(self, site: str, cameras: Iterable[str], robots: Iterable[str]) -> None:
+        robots = tuple(robots)
         self._fields: Entities = {f"camera/{name}": {"state": UNSEEN} for name in cameras}
         self._fields |= {
             f"robot/{name}": {"stale": True, "index": i} for i, name in enumerate(robots)
+        }
+        self._corrections = {
+            f"robot/{name}": f"sent {topics.CORRECTION.key(site, name)}.rate" for name in robots
         }
         self._posed_ns: dict[str, int] = {}
         self._goal_ns: dict[str, int] = {}
@@ -47,9 +51,7 @@ class Scene:
     def take(self, topic: Topic, name: str, message: Message, received_ns: int) -> None:
         kind = topic.path.partition("/")[0]
         entity = f"{'robot' if kind == 'robot' else 'camera'}/{name}"
-        if topic is topics.CORRECTION:
-            self._set(entity, {"fixed": int(to_seconds(received_ns))})
-        elif isinstance(message, PoseEstimate):
+        if isinstance(message, PoseEstimate):
             self._posed_ns[entity] = received_ns
             self._set(entity, (_robot if kind == "robot" else _camera)(message))
         elif isinstance(message, PoseStamped):
@@ -58,15 +60,19 @@ class Scene:
         elif isinstance(message, Polygon):
             self._set(entity, {"floor": _outline(message.points[:, :2])})
 
-    def needs(self, topic: Topic, name: str, received_ns: int) -> bool:
-        """Whether a message says anything new: a correction does by its second."""
-        fixed = self._fields.get(f"robot/{name}", {}).get("fixed")
-        return topic is not topics.CORRECTION or fixed != int(to_seconds(received_ns))
+    def report(self, node: str, values: Mapping[str, str], received_ns: int) -> None:
+        """Take what a node reports once a second. A camera's agent says how many faces it found and
+        fusion whom it corrected, so sightings and corrections, thousands a second, need not come
+        here."""
+        kind, _, name = node.partition("/")
+        if kind == "edge":
+            self._report_faces(f"camera/{name}", values, received_ns)
+        elif kind == "fusion":
+            for robot, rate in self._corrections.items():
+                if number_said(values.get(rate, "")) > 0:
+                    self._set(robot, {"fixed": round(to_seconds(received_ns))})
 
-    def report(self, camera: str, values: Mapping[str, str], received_ns: int) -> None:
-        """Take what a camera's agent reports of the faces it found: that is enough to say whether
-        it sees a target, and its sightings, a thousand a second, need not come here."""
-        entity = f"camera/{camera}"
+    def _report_faces(self, entity: str, values: Mapping[str, str], received_ns: int) -> None:
         if entity not in self._fields or number_said(values.get("faces.total", "")) <= 0:
             return
         if self._fields[entity]["state"] == UNSEEN:
@@ -75,18 +81,14 @@ class Scene:
             seen_s = round(to_seconds(received_ns))
             self._set(entity, {"seen": seen_s // _SEEN_STEP_S * _SEEN_STEP_S})
 
-    def changed(self, now_ns: int) -> Entities:
-        """The entities that may have changed since the last call, with what time alone changed."""
-        self._age(now_ns)
+    def changed(self) -> Entities:
+        """The entities that may have changed since the last call."""
         found = {name: self._fields[name] for name in self._dirty}
         self._dirty.clear()
         return found
 
-    def _set(self, entity: str, fields: Fields) -> None:
-        self._fields[entity] = self._fields[entity] | fields
-        self._dirty.add(entity)
-
-    def _age(self, now_ns: int) -> None:
+    def age(self, now_ns: int) -> None:
+        """Take what time alone changes."""
         camera_ns = max((ns for n, ns in self._posed_ns.items() if n[0] == "c"), default=0)
         for entity, posed_ns in self._posed_ns.items():
             kind = entity.partition("/")[0]
@@ -99,6 +101,10 @@ class Scene:
         for entity in [e for e, ns in self._goal_ns.items() if now_ns - ns > _GOAL_NS]:
             del self._goal_ns[entity]
             self._set(entity, {"goal": None})
+
+    def _set(self, entity: str, fields: Fields) -> None:
+        self._fields[entity] = self._fields[entity] | fields
+        self._dirty.add(entity)
 
 
 def _robot(message: PoseEstimate) -> Fields:
