@@ -14,7 +14,7 @@ from trigpoint.base.errors import BusError, MessageError
 from trigpoint.bus.bus import Bus, Sample, Subscription
 from trigpoint.contract import cdr
 from trigpoint.contract.messages import Message
-from trigpoint.contract.topics import IMAGE, TOPICS, Topic, key_matches, topic_of
+from trigpoint.contract.topics import IMAGE, TOPICS, Topic, key_matches, node_of, topic_of
 from trigpoint.node.node import Node
 from trigpoint.node.watchdog import Pulse
 from trigpoint.site.config import Site
@@ -149,8 +149,7 @@ def sound_message(topic: Topic, sample: Sample, site: Site) -> Message:
 
 
 def _check_known(topic: Topic, key: str, site: Site) -> None:
-    match = topic.match(key)
-    name = match[1] if match else ""
+    name = node_of(key)
     if topic.path.startswith("robot/"):
         kind, known = "robot", site.robots.keys()
     elif "{id}" in topic.path:

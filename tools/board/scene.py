@@ -125,20 +125,21 @@ def _camera(message: PoseEstimate) -> Fields:
 
 def _plane(pose: Pose) -> list[float]:
     """x, y, heading."""
-    return [round(float(value), 3) for value in (*pose.translation[:2], pose.heading)]
+    x, y, _ = pose.translation.tolist()
+    heading = math.atan2(pose.rotation[1, 0], pose.rotation[0, 0])
+    return [round(x, 3), round(y, 3), round(heading, 3)]
 
 
 def _uncertainty(covariance: Array) -> Fields:
     """`sigma`: root of the position's trace, m, as the viewer says it; `turn`: of the heading, rad;
     `ellipse`: half-axes on the floor that hold 95 %, m, and the longer one's direction."""
-    a, b, c = float(covariance[0, 0]), float(covariance[0, 1]), float(covariance[1, 1])
+    (a, b, *_), (_, c, *_), (_, _, height, *_), _, _, (*_, turn) = covariance.tolist()
     middle, apart = (a + c) / 2, math.hypot((a - c) / 2, b)  # the eigenvalues, ± apart
     long, short = (_ELLIPSE_95 * math.sqrt(max(0.0, v)) for v in (middle + apart, middle - apart))
     direction = math.atan2(2 * b, a - c) / 2 % math.pi
-    height = float(covariance[2, 2])
     return {
         "sigma": _two_digits(math.sqrt(max(0.0, a + c + height))),
-        "turn": _two_digits(math.sqrt(max(0.0, float(covariance[5, 5])))),
+        "turn": _two_digits(math.sqrt(max(0.0, turn))),
         "ellipse": [_two_digits(long), _two_digits(short), round(direction, 1)],
     }
 
