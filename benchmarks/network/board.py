@@ -24,10 +24,11 @@ from typing import Annotated
 from urllib.parse import urlsplit
 
 import typer
-from support.builders import site_text
+from support.builders import TARGET_TEXT, site_text
 from support.site.board_site import BoardSite, Truth
 from support.site.board_site import run as publish
 
+from benchmarks.network.board_beside import beside
 from benchmarks.table import Row, lateness_rows
 from benchmarks.timing import resident_mb, worked_s
 from trigpoint.site.config import load_site
@@ -77,7 +78,8 @@ def main(
                 *_to_the_page(address, seconds),
                 *_to_pixels(address, seconds),
             ]
-            return [*rows, _row("server's memory", "MB", resident_mb(process.pid), 0.0, "none")]
+            rows.append(_row("server's memory", "MB", resident_mb(process.pid), 0.0, "none"))
+            return [*rows, *beside(path, address, process.pid, seconds)]
         finally:
             process.terminate()
             process.wait(20)
@@ -87,6 +89,7 @@ def main(
 def _site(folder: Path, cameras: int, robots: int) -> Iterator[Path]:
     """A site file, whose site is published until the end."""
     path = folder / "site.toml"
+    (folder / "target.toml").write_text(TARGET_TEXT, encoding="utf-8")
     name = f"board_bench_p{os.getpid()}"
     path.write_text(site_text(name=name, cameras=cameras, robots=robots), encoding="utf-8")
     context = multiprocessing.get_context("spawn")

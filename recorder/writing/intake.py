@@ -140,16 +140,18 @@ class Intake:
 
 def sound_message(topic: Topic, sample: Sample, site: Site) -> Message:
     """The message in a sample; raise MessageError if it does not follow the contract."""
+    check_sender(topic, sample, site)
+    return cdr.decode(topic.type_name, sample.payload)
+
+
+def check_sender(topic: Topic, sample: Sample, site: Site) -> None:
+    """Raise MessageError where a sample's key or encoding does not follow the contract, or the site
+    knows nobody of that name."""
     if topic_of(sample.key) is not topic:
         raise MessageError(f"{sample.key} is not a key of the contract")
     if not topic.may_be(sample.encoding):
         raise MessageError(f"the encoding is «{sample.encoding}», not «{topic.encoding}»")
-    _check_known(topic, sample.key, site)
-    return cdr.decode(topic.type_name, sample.payload)
-
-
-def _check_known(topic: Topic, key: str, site: Site) -> None:
-    name = node_of(key)
+    name = node_of(sample.key)
     if topic.path.startswith("robot/"):
         kind, known = "robot", site.robots.keys()
     elif "{id}" in topic.path:

@@ -12,6 +12,7 @@ from trigpoint.base.clock import to_seconds
 from trigpoint.base.errors import BusError, MessageError
 from trigpoint.bus.bus import Bus, Latest, Sample, Subscription
 from trigpoint.contract import topics
+from trigpoint.contract.cdr_layout import pose_estimate_run
 from trigpoint.contract.messages import (
     Diagnostics,
     DiagnosticStatus,
@@ -20,8 +21,10 @@ from trigpoint.contract.messages import (
     PoseEstimate,
 )
 from trigpoint.contract.topics import Topic, alive_key, node_of
+from trigpoint.geometry import Pose
+from trigpoint.geometry.rotation import Array
 from trigpoint.node.health import Health
-from trigpoint.recorder.writing.intake import sound_message
+from trigpoint.recorder.writing.intake import check_sender, sound_message
 from trigpoint.site.config import Site
 from trigpoint.tools.site.state import SiteStatus, summarise
 from trigpoint.tools.site.status import LISTEN_S, wanted_of
@@ -41,6 +44,7 @@ _LOOK_S = 1.0
 _HEARD_S = 3.5
 """Nodes send diagnostics once a second; three that are missing are a silence."""
 _REPORTS = replace(topics.DIAGNOSTICS, queue=4096)
+_POSED = {topics.ROBOT_POSE: "robot", topics.CAMERA_POSE: "camera"}
 _READ = (
     topics.ROBOT_POSE,
     topics.CAMERA_POSE,
@@ -118,8 +122,10 @@ class Reader:
 
     def _read(self, latest: list[tuple[Topic, Latest]]) -> None:
         for topic, incoming in latest:
-            for sample in incoming.take():
-                self._take(topic, sample)
+            samples = incoming.take()
+            if topic not in _POSED or not self._take_poses(topic, samples):
+                for sample in samples:
+                    self._take(topic, sample)
         self._show(self._scene.changed())
 
     def _look(self, bus: Bus, reports: Subscription) -> None:
@@ -132,16 +138,46 @@ class Reader:
         self._show(self._overview(bus))
 
     def _take(self, topic: Topic, sample: Sample) -> None:
-        name = node_of(sample.key)
         message = self._sound(topic, sample)
         if message is None:
             return
         if isinstance(message, OccupancyGrid):
             self._grid = grid_picture(message.cell_m, message.origin, message.values)
             return
-        self._scene.take(topic, name, message, sample.received_ns)
         if isinstance(message, PoseEstimate):
-            self._floor.take("camera" if topic is topics.CAMERA_POSE else "robot", name, message)
+            covariance = message.covariance[None]
+            self._place(topic, [sample], [message.stamp_ns], Pose.stack([message.pose]), covariance)
+            return
+        self._scene.take(topic, node_of(sample.key), message, sample.received_ns)
+
+    def _take_poses(self, topic: Topic, samples: list[Sample]) -> bool:
+        """Take all at once, in a fifth of the time; false where one of them is not sound."""
+        if not samples:
+            return True
+        try:
+            for sample in samples:
+                check_sender(topic, sample, self._site)
+        except MessageError:
+            return False
+        run = pose_estimate_run([sample.payload for sample in samples])
+        if run is None:
+            return False
+        stamps_ns, poses, covariances = run
+        self._place(topic, samples, stamps_ns.tolist(), poses, covariances)
+        return True
+
+    def _place(
+        self,
+        topic: Topic,
+        samples: list[Sample],
+        stamps_ns: list[int],
+        poses: Pose,
+        covariances: Array,
+    ) -> None:
+        entities = [f"{_POSED[topic]}/{node_of(sample.key)}" for sample in samples]
+        received_ns = [sample.received_ns for sample in samples]
+        self._scene.take_poses(entities, poses, covariances, received_ns)
+        self._floor.take(entities, poses, covariances, stamps_ns)
 
     def _sound(self, topic: Topic, sample: Sample) -> Message | None:
         try:

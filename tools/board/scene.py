@@ -5,13 +5,13 @@ cannot be seen is not sent.
 """
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
 from trigpoint.base.clock import to_ns, to_seconds
 from trigpoint.contract import topics
-from trigpoint.contract.messages import Message, Polygon, PoseEstimate, PoseStamped
+from trigpoint.contract.messages import Message, Polygon, PoseStamped
 from trigpoint.contract.topics import Topic
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
@@ -30,6 +30,8 @@ _SEEN_STEP_S = 2
 _ELLIPSE_95 = math.sqrt(-2 * math.log(0.05))
 """Half-axes of the ellipse that holds a point of a plane with 95 %, in sigmas."""
 _OUTLINE_M = 0.05
+_FURTHEST_M = 1e6
+"""No site is so large; what a stranger says beyond it would not be a number once it is rounded."""
 
 
 class Scene:
@@ -51,14 +53,21 @@ class Scene:
     def take(self, topic: Topic, name: str, message: Message, received_ns: int) -> None:
         kind = topic.path.partition("/")[0]
         entity = f"{'robot' if kind == 'robot' else 'camera'}/{name}"
-        if isinstance(message, PoseEstimate):
-            self._posed_ns[entity] = received_ns
-            self._set(entity, (_robot if kind == "robot" else _camera)(message))
-        elif isinstance(message, PoseStamped):
+        if isinstance(message, PoseStamped):
             self._goal_ns[entity] = received_ns
-            self._set(entity, {"goal": _plane(message.pose)})
+            self._set(entity, {"goal": _plane(Pose.stack([message.pose]))[0]})
         elif isinstance(message, Polygon):
             self._set(entity, {"floor": _outline(message.points[:, :2])})
+
+    def take_poses(
+        self, entities: Sequence[str], poses: Pose, covariances: Array, received_ns: Sequence[int]
+    ) -> None:
+        """Take where some cameras are, or some robots; `poses`: (n), `covariances`: (n, 6, 6)."""
+        is_robots = entities[0].startswith("robot/")
+        shown = (_robots if is_robots else _cameras)(poses, _uncertainty(covariances))
+        for entity, fields, at_ns in zip(entities, shown, received_ns, strict=True):
+            self._posed_ns[entity] = at_ns
+            self._set(entity, fields)
 
     def report(self, node: str, values: Mapping[str, str], received_ns: int) -> None:
         """Take what a node reports once a second. A camera's agent says how many faces it found and
@@ -107,41 +116,49 @@ class Scene:
         self._dirty.add(entity)
 
 
-def _robot(message: PoseEstimate) -> Fields:
-    return {"at": _plane(message.pose), "stale": False} | _uncertainty(message.covariance)
+def _robots(poses: Pose, uncertainty: list[Fields]) -> list[Fields]:
+    places = zip(_plane(poses), uncertainty, strict=True)
+    return [{"at": at, "stale": False, **known} for at, known in places]
 
 
-def _camera(message: PoseEstimate) -> Fields:
-    ahead = message.pose.rotation[:, 2]
-    azimuth, elevation = math.atan2(ahead[1], ahead[0]), math.asin(max(-1.0, min(1.0, ahead[2])))
-    place: Fields = {
-        "state": LOCATED,
-        "stale": False,
-        "at": [round(v, 3) for v in message.pose.translation.tolist()],
-        "look": [round(azimuth, 3), round(elevation, 3)],
-    }
-    return place | _uncertainty(message.covariance)
+def _cameras(poses: Pose, uncertainty: list[Fields]) -> list[Fields]:
+    """`look`: azimuth and elevation of the optical axis."""
+    ahead = poses.rotation[:, :, 2]
+    azimuth, elevation = np.arctan2(ahead[:, 1], ahead[:, 0]), np.arcsin(ahead[:, 2].clip(-1, 1))
+    looks = _rounded(np.stack([azimuth, elevation], axis=1))
+    places = zip(_rounded(poses.translation), looks, uncertainty, strict=True)
+    return [
+        {"state": LOCATED, "stale": False, "at": at, "look": look, **known}
+        for at, look, known in places
+    ]
 
 
-def _plane(pose: Pose) -> list[float]:
-    """x, y, heading."""
-    x, y, _ = pose.translation.tolist()
-    heading = math.atan2(pose.rotation[1, 0], pose.rotation[0, 0])
-    return [round(x, 3), round(y, 3), round(heading, 3)]
+def _plane(poses: Pose) -> list[list[float]]:
+    """x, y, heading of each."""
+    return _rounded(np.column_stack([poses.translation[:, :2], poses.heading]))
 
 
-def _uncertainty(covariance: Array) -> Fields:
-    """`sigma`: root of the position's trace, m, as the viewer says it; `turn`: of the heading, rad;
-    `ellipse`: half-axes on the floor that hold 95 %, m, and the longer one's direction."""
-    (a, b, *_), (_, c, *_), (_, _, height, *_), _, _, (*_, turn) = covariance.tolist()
-    middle, apart = (a + c) / 2, math.hypot((a - c) / 2, b)  # the eigenvalues, ± apart
-    long, short = (_ELLIPSE_95 * math.sqrt(max(0.0, v)) for v in (middle + apart, middle - apart))
-    direction = math.atan2(2 * b, a - c) / 2 % math.pi
-    return {
-        "sigma": _two_digits(math.sqrt(max(0.0, a + c + height))),
-        "turn": _two_digits(math.sqrt(max(0.0, turn))),
-        "ellipse": [_two_digits(long), _two_digits(short), round(direction, 1)],
-    }
+def _rounded(values: Array) -> list[list[float]]:
+    return np.round(values.clip(-_FURTHEST_M, _FURTHEST_M), 3).tolist()
+
+
+def _uncertainty(covariances: Array) -> list[Fields]:
+    """Of each pose. `sigma`: root of the position's trace, m, as the viewer says it; `turn`: of the
+    heading, rad; `ellipse`: half-axes on the floor that hold 95 %, m, and the longer one's
+    direction."""
+    a, b, c, height, turn = covariances[:, [0, 0, 1, 2, 5], [0, 1, 1, 2, 5]].T
+    middle, apart = (a + c) / 2, np.hypot((a - c) / 2, b)  # the eigenvalues, ± apart
+    variances = np.stack([a + c + height, turn, middle + apart, middle - apart])
+    sigmas = np.sqrt(np.maximum(0.0, variances)).T.tolist()
+    directions = np.round(np.arctan2(2 * b, a - c) / 2 % math.pi, 1).tolist()
+    return [
+        {
+            "sigma": _two_digits(sigma),
+            "turn": _two_digits(turned),
+            "ellipse": [_two_digits(_ELLIPSE_95 * axis) for axis in axes] + [direction],
+        }
+        for (sigma, turned, *axes), direction in zip(sigmas, directions, strict=True)
+    ]
 
 
 def _two_digits(value: float) -> float:

@@ -95,40 +95,54 @@ def odometry(payload: bytes) -> Odometry | None:
 def odometry_run(payloads: Sequence[bytes]) -> tuple[np.ndarray, Pose] | None:
     """The stamps (n,), ns, and poses (n) of messages, to the last bit as `odometry` reads each;
     None if one of them is not valid, or has other names than the first."""
-    first, size = payloads[0], len(payloads[0])
-    names = first[_START + STAMP.size : size - ODOMETRY.size]
-    if len(names) > _MOST_NAMES_BYTES or any(len(payload) != size for payload in payloads):
+    names = payloads[0][_START + STAMP.size : len(payloads[0]) - ODOMETRY.size]
+    if len(names) > _MOST_NAMES_BYTES:
         return None
     try:
         *_, position = _frames(names)
     except (struct.error, ValueError):
         return None
-    rows = np.frombuffer(b"".join(payloads), _row(position, size))
+    twist = 6, POSE.size + 8 * _COVARIANCE
+    read = _run(payloads, position, twist, position + ODOMETRY.size)
+    return None if read is None else read[:2]
+
+
+def _run(
+    payloads: Sequence[bytes], position: int, others: tuple[int, int], end: int
+) -> tuple[np.ndarray, Pose, np.ndarray] | None:
+    """The stamps (n,), ns, poses (n) and other numbers (n, m) of messages that end at `end` and
+    have the same names before the pose at `position`; None if one of them is not valid. `others`:
+    how many numbers, and how many bytes behind the pose's begin."""
+    first, size = payloads[0], len(payloads[0])
+    if any(len(payload) != size for payload in payloads) or not _is_whole(first, end):
+        return None
+    rows = np.frombuffer(b"".join(payloads), _row(position, size, *others))
     is_alike = np.all(rows["byte_order"] == rows["byte_order"][0]) and np.all(
         rows["names"] == rows["names"][0]
     )
     pose = np.ascontiguousarray(rows["pose"])
     # Each sum is finite only if all of it are.
-    is_finite = np.isfinite(pose.sum(axis=1) + rows["twist"].sum(axis=1)).all()
-    if not (is_alike and is_finite and _is_whole(first, position + ODOMETRY.size)):
+    is_finite = np.isfinite(pose.sum(axis=1) + rows["others"].sum(axis=1)).all()
+    if not (is_alike and is_finite):
         return None
     quaternions = pose[:, 3:]
     if np.abs(np.linalg.norm(quaternions, axis=1) - 1).max() > UNIT_TOLERANCE:
         return None
     stamps_ns = rows["seconds"].astype(np.int64) * 1_000_000_000 + rows["nanoseconds"]
-    return stamps_ns, Pose(of_quaternions(quaternions), pose[:, :3].copy())
+    return stamps_ns, Pose(of_quaternions(quaternions), pose[:, :3].copy()), rows["others"]
 
 
 @lru_cache(maxsize=256)
-def _row(position: int, size: int) -> np.dtype:
-    """An odometry message of this size whose pose is at this position."""
+def _row(position: int, size: int, count: int, offset: int) -> np.dtype:
+    """A message of this size with its pose at this position and `count` other numbers so many bytes
+    behind where that begins."""
     fields = {
         "byte_order": ("u2", 0),
         "seconds": ("<i4", _START),
         "nanoseconds": ("<u4", _START + 4),
         "names": (("u1", position - _START - STAMP.size), _START + STAMP.size),
         "pose": (("<f8", 7), position),
-        "twist": (("<f8", 6), position + 8 * (7 + _COVARIANCE)),
+        "others": (("<f8", count), position + offset),
     }
     formats, offsets = zip(*fields.values(), strict=True)
     return np.dtype({"names": [*fields], "formats": formats, "offsets": offsets, "itemsize": size})
@@ -157,6 +171,23 @@ def pose_estimate(payload: bytes) -> PoseEstimate | None:
     ):
         return None
     return PoseEstimate(stamp_ns, frame_id, pose, covariance.reshape(6, 6).astype(float))
+
+
+def pose_estimate_run(payloads: Sequence[bytes]) -> tuple[np.ndarray, Pose, np.ndarray] | None:
+    """The stamps (n,), ns, poses (n) and covariances (n, 6, 6) of messages, to the last bit as
+    `pose_estimate` reads each; None if one of them is not valid, or has another frame than the
+    first."""
+    try:
+        *_, position = _header(payloads[0])
+    except (struct.error, ValueError):
+        return None
+    position = _aligned(position, 8)
+    end = position + POSE.size + 8 * _COVARIANCE
+    read = _run(payloads, position, (_COVARIANCE, POSE.size), end)
+    if read is None:
+        return None
+    stamps_ns, poses, covariances = read
+    return stamps_ns, poses, covariances.reshape(-1, 6, 6).astype(float)
 
 
 def pose_stamped(payload: bytes) -> PoseStamped | None:

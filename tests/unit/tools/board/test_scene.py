@@ -27,6 +27,12 @@ def changed(shown: Scene, now_ns: int) -> Entities:
     return shown.changed()
 
 
+def place(shown: Scene, name: str, estimate: PoseEstimate, received_ns: int) -> None:
+    entity = f"{'robot' if name.startswith('r') else 'camera'}/{name}"
+    pose, covariance = Pose.stack([estimate.pose]), estimate.covariance[None]
+    shown.take_poses([entity], pose, covariance, [received_ns])
+
+
 def robot_pose(x: float, y: float, heading: float) -> PoseEstimate:
     return PoseEstimate(0, "map", Pose.planar(x, y, heading), COVARIANCE)
 
@@ -46,7 +52,7 @@ def test_a_camera_is_unseen_then_undetermined_then_located() -> None:
     assert not changed(shown, S)
     shown.report("edge/c1", {"faces.total": "7", "faces.rate": "3.5"}, 2 * S)
     assert changed(shown, 2 * S)["camera/c1"] == {"state": "undetermined", "seen": 2}
-    shown.take(topics.CAMERA_POSE, "c1", camera_pose(), 3 * S)
+    place(shown, "c1", camera_pose(), 3 * S)
     camera = changed(shown, 3 * S)["camera/c1"]
     assert camera["state"] == "located"
     assert camera["at"] == [1.0, 2.0, 2.0]
@@ -55,7 +61,7 @@ def test_a_camera_is_unseen_then_undetermined_then_located() -> None:
 
 def test_a_robot_has_its_place_and_its_ellipse() -> None:
     shown = scene()
-    shown.take(topics.ROBOT_POSE, "r1", robot_pose(1.23456, -2.0, 0.5), S)
+    place(shown, "r1", robot_pose(1.23456, -2.0, 0.5), S)
     robot = changed(shown, S)["robot/r1"]
     assert robot["at"] == [1.235, -2.0, 0.5]
     # 95 % of a plane's normal distribution lie within 2.4477 sigmas.
@@ -70,7 +76,7 @@ def test_the_ellipse_lies_along_the_worst_direction() -> None:
     covariance[:2, :2] = turn @ np.diag([9e-4, 1e-4]) @ turn.T
     shown = scene()
     estimate = PoseEstimate(0, "map", Pose.planar(0, 0, 0), covariance)
-    shown.take(topics.ROBOT_POSE, "r1", estimate, S)
+    place(shown, "r1", estimate, S)
     ellipse = changed(shown, S)["robot/r1"]["ellipse"]
     assert isinstance(ellipse, list)
     assert ellipse[2] == pytest.approx(1.0)
@@ -78,22 +84,22 @@ def test_the_ellipse_lies_along_the_worst_direction() -> None:
 
 def test_who_is_silent_is_stale_and_who_comes_back_is_not() -> None:
     shown = scene()
-    shown.take(topics.ROBOT_POSE, "r1", robot_pose(0, 0, 0), S)
+    place(shown, "r1", robot_pose(0, 0, 0), S)
     changed(shown, S)
     assert not changed(shown, 2 * S)
     assert changed(shown, 4 * S)["robot/r1"]["stale"] is True
-    shown.take(topics.ROBOT_POSE, "r1", robot_pose(0, 0, 0), 5 * S)
+    place(shown, "r1", robot_pose(0, 0, 0), 5 * S)
     assert changed(shown, 5 * S)["robot/r1"]["stale"] is False
 
 
 def test_a_camera_that_is_announced_no_more_while_others_are_is_undetermined() -> None:
     shown = scene()
     for name in ("c1", "c2"):
-        shown.take(topics.CAMERA_POSE, name, camera_pose(), S)
+        place(shown, name, camera_pose(), S)
     for second in range(2, 14):
-        shown.take(topics.CAMERA_POSE, "c2", camera_pose(), second * S)
+        place(shown, "c2", camera_pose(), second * S)
         changed(shown, second * S)
-    shown.take(topics.CAMERA_POSE, "c2", camera_pose(), 14 * S)
+    place(shown, "c2", camera_pose(), 14 * S)
     assert changed(shown, 14 * S)["camera/c2"]["state"] == "located"
     assert shown._fields["camera/c1"]["state"] == "undetermined"
 
@@ -101,7 +107,7 @@ def test_a_camera_that_is_announced_no_more_while_others_are_is_undetermined() -
 def test_all_cameras_stay_located_where_fusion_is_away() -> None:
     shown = scene()
     for name in ("c1", "c2"):
-        shown.take(topics.CAMERA_POSE, name, camera_pose(), S)
+        place(shown, name, camera_pose(), S)
     cameras = changed(shown, 60 * S)
     assert {camera["state"] for camera in cameras.values()} == {"located"}
     assert all(camera["stale"] for camera in cameras.values())

@@ -220,6 +220,34 @@ def test_messages_of_one_robot_are_read_at_once_as_each(
 
 
 @settings(max_examples=100)
+@given(st.lists(st.tuples(stamps, poses, covariances), min_size=1, max_size=9), names)
+def test_poses_of_many_are_read_at_once_as_each(
+    drawn: list[tuple[int, Pose, np.ndarray]], frame: str
+) -> None:
+    payloads = [encode(PoseEstimate(ns, frame, pose, known)) for ns, pose, known in drawn]
+    read = cdr_layout.pose_estimate_run(payloads)
+    assert read is not None
+    stamps_ns, found, known = read
+    each = [cdr_layout.pose_estimate(payload) for payload in payloads]
+    sound = [message for message in each if message is not None]
+    assert stamps_ns.tolist() == [message.stamp_ns for message in sound]
+    assert found.rows().tobytes() == Pose.stack([m.pose for m in sound]).rows().tobytes()
+    assert known.tobytes() == np.stack([message.covariance for message in sound]).tobytes()
+
+
+@settings(max_examples=100)
+@given(estimates, estimates, st.data())
+def test_poses_of_which_one_is_not_sound_are_left_to_each(
+    first: PoseEstimate, second: PoseEstimate, data: st.DataObject
+) -> None:
+    payloads = [encode(first), bytearray(encode(second))]
+    payloads[1][data.draw(st.integers(0, len(payloads[1]) - 1))] = data.draw(st.integers(0, 255))
+    is_sound = all(cdr_layout.pose_estimate(bytes(each)) is not None for each in payloads)
+    read = cdr_layout.pose_estimate_run([bytes(each) for each in payloads])
+    assert read is None or is_sound
+
+
+@settings(max_examples=100)
 @given(odometry, odometry, st.data())
 def test_run_with_a_message_that_is_not_sound_is_left_to_each(
     first: Odometry, second: Odometry, data: st.DataObject
