@@ -74,12 +74,12 @@ def main(
         try:
             time.sleep(_SETTLED_S)
             rows = [
+                *beside(path, address, process.pid, seconds),
                 *_transfer(address, process.pid, seconds),
                 *_to_the_page(address, seconds),
                 *_to_pixels(address, seconds),
             ]
-            rows.append(_row("server's memory", "MB", resident_mb(process.pid), 0.0, "none"))
-            return [*rows, *beside(path, address, process.pid, seconds)]
+            return [*rows, _row("server's memory", "MB", resident_mb(process.pid), 0.0, "none")]
         finally:
             process.terminate()
             process.wait(20)
