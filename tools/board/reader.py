@@ -2,13 +2,12 @@
 
 import logging
 import threading
-import time
 from collections.abc import Mapping
 
 from msgspec.structs import replace
 
 from trigpoint import CONTRACT, __version__
-from trigpoint.base.clock import to_seconds
+from trigpoint.base.clock import Clock, SystemClock, to_seconds
 from trigpoint.base.errors import BusError, MessageError
 from trigpoint.bus.bus import Bus, Latest, Sample, Subscription
 from trigpoint.contract import topics
@@ -68,19 +67,25 @@ class Reader:
         pictures: Pictures,
         *,
         about: Fields,
+        clock: Clock | None = None,
     ) -> None:
         """`about`: what the pages should know of the program."""
+        self._clock = clock or SystemClock()
         self._site, self._feed, self._history, self._pictures = site, feed, history, pictures
         self._scene = Scene(site.name, site.cameras, site.robots)
-        self._floor, self._alarms, self.health = Floor(site), Alarms(), Health()
+        self._floor, self._alarms, self.health = Floor(site), Alarms(), Health(self._clock)
         self._about = {"name": site.name, "link": "the bus is being opened"} | about
         self._grid: GridPicture | None = None
         self._statuses: dict[str, tuple[float, int, DiagnosticStatus]] = {}
         self._tokens: list[str] = []
-        self._started_s = self._apart_s = time.monotonic()
+        self._started_s = self._apart_s = self._elapsed_s
         self._looked_s = 0.0
         self._own = self._own_status()
         self.health.gauge("pages", lambda: feed.pages)
+
+    @property
+    def _elapsed_s(self) -> float:
+        return to_seconds(self._clock.elapsed_ns())
 
     def picture(self, name: str) -> bytes:
         """The floor «plan» or the «grid» of corrections, PNG; empty without one. Any thread."""
@@ -100,23 +105,23 @@ class Reader:
             self.health.watch(topic.name, incoming)
         asking = threading.Thread(target=self._ask, args=(bus, stopping), name="board alive")
         asking.start()
-        due_s = self._apart_s = time.monotonic()
+        due_s = self._apart_s = self._elapsed_s
         try:
             while not stopping.is_set():
                 self._read(latest)
-                if time.monotonic() - self._looked_s >= _LOOK_S:
-                    self._looked_s = time.monotonic()
+                if self._elapsed_s - self._looked_s >= _LOOK_S:
+                    self._looked_s = self._elapsed_s
                     self._look(bus, reports)
-                due_s = max(due_s + PERIOD_S, time.monotonic())
-                stopping.wait(due_s - time.monotonic())
+                due_s = max(due_s + PERIOD_S, self._elapsed_s)
+                self._clock.wait(stopping, due_s - self._elapsed_s)
         finally:
             stopping.set()
             asking.join()
 
     def heard(self) -> list[Diagnostics]:
         """The newest diagnostics of every node, and the board's own. Any thread."""
-        own = Diagnostics(time.time_ns(), (self._own,))
-        since_s = time.monotonic() - _HEARD_S
+        own = Diagnostics(self._clock.now_ns(), (self._own,))
+        since_s = self._elapsed_s - _HEARD_S
         found = [(ns, status) for s, ns, status in list(self._statuses.values()) if s > since_s]
         return [own, *(Diagnostics(stamp_ns, (status,)) for stamp_ns, status in found)]
 
@@ -133,7 +138,7 @@ class Reader:
         for _ in range(reports.depth):  # what comes meanwhile is heard next time
             if (sample := reports.take(0.0)) is not None:
                 self._hear(sample)
-        self._scene.age(time.time_ns())
+        self._scene.age(self._clock.now_ns())
         self._pictures.end_idle()
         self._show(self._overview(bus))
 
@@ -191,7 +196,7 @@ class Reader:
         if isinstance(message, Diagnostics):
             for status in message.statuses:
                 unique = f"{status.name} {status.values.get('node', '')}"
-                self._statuses[unique] = (time.monotonic(), message.stamp_ns, status)
+                self._statuses[unique] = (self._elapsed_s, message.stamp_ns, status)
                 self._scene.report(status.name, status.values, sample.received_ns)
 
     def _overview(self, bus: Bus) -> dict[str, Fields | None]:
@@ -203,15 +208,17 @@ class Reader:
         about["begin"] = round(self._history.begin_s or 0)
         shown: dict[str, Fields | None] = {"site": about, "plan": self._floor.fields}
         shown["grid"] = None if self._grid is None else self._grid.fields
-        now_s = time.monotonic()
+        now_s = self._elapsed_s
         if link:
             self._apart_s = now_s
         if now_s - self._apart_s > LISTEN_S:
-            shown |= self._alarms.look(self._status(len(bus.peers)), time.time())
+            shown |= self._alarms.look(
+                self._status(len(bus.peers)), to_seconds(self._clock.now_ns())
+            )
         return shown
 
     def _status(self, peers: int) -> SiteStatus:
-        since_s = time.monotonic() - _HEARD_S
+        since_s = self._elapsed_s - _HEARD_S
         self._statuses = {n: one for n, one in self._statuses.items() if one[0] > since_s}
         return summarise(
             self._site.name,
@@ -223,7 +230,7 @@ class Reader:
         )
 
     def _show(self, entities: Mapping[str, Fields | None]) -> None:
-        now_s = to_seconds(time.time_ns())
+        now_s = to_seconds(self._clock.now_ns())
         change = self._feed.update(entities, now_s)
         self._history.keep(change, self._feed.whole(), now_s)
 
@@ -235,7 +242,7 @@ class Reader:
             "version": __version__,
             "contract": str(CONTRACT),
             "node": NAME,
-            "uptime": f"{time.monotonic() - self._started_s:.1f}",
+            "uptime": f"{self._elapsed_s - self._started_s:.1f}",
         }
         level = int(report.level)
         return DiagnosticStatus(level, NAME, report.message, "", values | report.values)
