@@ -1,12 +1,15 @@
-"""What a day of the page's server leaves in memory: a site whose clock runs as fast as it is read.
+"""What a day leaves in memory, of the page's server and in a browser.
 
-The reader, its history and its alarms are the server's; a small site says everything once a second,
-and a robot is in trouble every other minute.
+The server's reader, history and alarms read a small site whose clock runs as fast as it is read: it
+says everything once a second, and a robot is in trouble every other minute. The browser's page is
+told of a large site, second after second, as fast as it draws.
 """
 
 import gc
+import shutil
 import threading
 from functools import partial
+from urllib.parse import urlsplit
 
 from support.builders import make_site
 from support.site.board_site import BoardSite, Truth
@@ -15,6 +18,7 @@ from benchmarks.table import Row
 from benchmarks.timing import in_new_process, resident_mb
 from trigpoint.base.clock import ManualClock, to_ns, to_seconds
 from trigpoint.testing.memory_bus import MemoryBroker
+from trigpoint.tools.board.app import ASSETS, assets
 from trigpoint.tools.board.feed import Feed
 from trigpoint.tools.board.history import History
 from trigpoint.tools.board.pictures import Pictures
@@ -23,7 +27,39 @@ from trigpoint.tools.board.reader import Reader
 _CAMERAS, _ROBOTS = 4, 2
 _BEGIN_S = 1_000_000.0
 _SECOND_S, _MINUTE_S, _YOUNG_S, _HOUR_S = 1.0, 60.0, 600.0, 3600.0
+_CALL_S, _PATIENCE_MS = 600, 300_000
 _row = partial(Row, "page")
+
+# In place of the server: 100 cameras, 30 robots on circles, a node each; alarms come each
+# minute, and the last forty are shown.
+_TOLD = """
+let told = null, t = 1e6;
+window.EventSource = class { constructor() { told = this; } };
+const many = (count, one) => Object.fromEntries(Array.from({ length: count }, (_, i) => one(i)));
+const known = () => ({ sigma: 0.02, turn: 0.01, ellipse: [0.05, 0.02 + (t % 7) / 1000, 0.1] });
+const robot = (i) => [`robot/r${i}`, { index: i, stale: false, fixed: t, ...known(),
+  at: [10 * Math.cos(t / 40 + i), 10 * Math.sin(t / 40 + i), (t / 40 + i) % 3],
+  goal: [i, t % 9, 0] }];
+const camera = (i) => [`camera/c${i}`, { state: "located", seen: t, at: [i % 10, i / 10, 3],
+  look: [0.1, -0.5], ...known(), floor: [0, 0, 4, 0, 4, 4] }];
+const node = (i) => [`node/edge/c${i}`, { state: "ok", age: 0, notes: [`pictures ${10 + t % 3}`] }];
+const say = (message) => told.onmessage({ data: JSON.stringify({ t, ...message }) });
+window.live = async (seconds) => {
+  if (t === 1e6) say({ all: { site: { name: "lab" }, ...many(100, camera), ...many(130, node) } });
+  for (let i = 0; i < seconds; i++) {
+    t++;
+    const set = { ...many(30, robot), ...many(100, camera), ...many(130, node) };
+    const minute = Math.floor(t / 60), gone = [];
+    if (t % 60 === 0) {
+      set[`alarm/${minute}`] = { node: "robot/r1", text: `no port ${t}`, state: "error", since: t };
+      set[`alarm/${minute - 1}`] = { until: t };
+      gone.push(`alarm/${minute - 40}`);
+    }
+    say({ set, gone });
+    if (i % 60 === 0) await new Promise(requestAnimationFrame);
+  }
+};
+"""
 
 
 class _Day(ManualClock):
@@ -54,10 +90,49 @@ class _Day(ManualClock):
 
 
 def day(hours: float) -> list[Row]:
-    """The server's memory after so many hours, against that after ten minutes."""
-    young_mb, old_mb = in_new_process(_lived, hours)
-    what = f"server's memory after {hours:g} hours of a fast clock"
-    return [_row(what, "MB", old_mb, young_mb, "after ten minutes")]
+    """The memory of both after so many hours, against that after ten minutes."""
+    kinds = {"server's memory": in_new_process(_lived, hours)}
+    if chromium := shutil.which("chromium"):
+        kinds["memory of a browser's page"] = _shown(chromium, hours)
+    return [
+        _row(f"{what} after {hours:g} hours", "MB", old_mb, young_mb, "after ten minutes")
+        for what, (young_mb, old_mb) in kinds.items()
+    ]
+
+
+def _shown(chromium: str, hours: float) -> tuple[float, float]:
+    """What of the page's process is resident after ten minutes and in the end, MB."""
+    from playwright.sync_api import Route, sync_playwright
+
+    files = assets()
+
+    def answer(route: Route) -> None:
+        name = urlsplit(route.request.url).path.strip("/") or "board.html"
+        kind = ASSETS.get(name)
+        if kind is None:
+            route.fulfill(status=404)
+        else:
+            route.fulfill(body=files[name], content_type=kind)
+
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        page = browser.new_page(viewport={"width": 1440, "height": 900})
+        page.set_default_timeout(_PATIENCE_MS)
+        page.add_init_script(_TOLD)
+        page.route("**/*", answer)
+        page.goto("http://board.test/")
+        collector = page.context.new_cdp_session(page)
+        processes = browser.new_browser_cdp_session().send("SystemInfo.getProcessInfo")
+        drawing = [one["id"] for one in processes["processInfo"] if one["type"] == "renderer"]
+        found_mb: list[float] = []
+        for seconds in (_YOUNG_S, hours * _HOUR_S - _YOUNG_S):
+            for left in range(round(seconds), 0, -_CALL_S):
+                page.evaluate("(seconds) => window.live(seconds)", min(_CALL_S, left))
+            collector.send("HeapProfiler.collectGarbage")
+            found_mb.append(sum(resident_mb(process) for process in drawing))
+        browser.close()
+    young_mb, old_mb = found_mb
+    return young_mb, old_mb
 
 
 def _lived(hours: float) -> tuple[float, float]:

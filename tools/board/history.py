@@ -7,6 +7,8 @@ import bz2
 import threading
 from bisect import bisect_right
 from collections import deque
+from collections.abc import Iterable
+from itertools import chain
 
 import msgspec
 from msgspec import Raw, Struct, field
@@ -36,7 +38,7 @@ class History:
     """Bounded by time: an hour and a minute. `keep` is called on one thread, the rest on any."""
 
     def __init__(self) -> None:
-        self._lock = threading.Lock()
+        self._lock, self._replaying = threading.Lock(), threading.Lock()
         self._packed: deque[tuple[float, bytes]] = deque()
         self._minute: _Minute | None = None
         self._gathered = Change(0.0)
@@ -82,10 +84,10 @@ class History:
             last = _Minute(last.t, last.state, list(last.changes))
         number = max(0, bisect_right([*(begin_s for begin_s, _ in packed), last.t], t) - 1)
         chosen = packed[max(0, number - 1) : number + 1]  # ways begin in the minute before
-        minutes = [_MINUTE.decode(bz2.decompress(data)) for _, data in chosen]
-        if number == len(packed):
-            minutes.append(last)
-        state, ways, at_s = _replayed(minutes, t)
+        minutes = (_MINUTE.decode(bz2.decompress(data)) for _, data in chosen)
+        open_one = [last] if number == len(packed) else []
+        with self._replaying:  # a minute takes some MB, and all pages come back at once
+            state, ways, at_s = _replayed(chain(minutes, open_one), t)
         return Whole(at_s, state, ways, past=True)
 
     def ways(self, t: float) -> dict[str, list[float]]:
@@ -101,10 +103,12 @@ class History:
         return sum(len(data) for _, data in packed) + len(last)
 
 
-def _replayed(minutes: list[_Minute], t: float) -> tuple[Entities, dict[str, list[float]], float]:
+def _replayed(
+    minutes: Iterable[_Minute], t: float
+) -> tuple[Entities, dict[str, list[float]], float]:
     state: Entities = {}
     ways: dict[str, list[float]] = {}
-    at_s = minutes[0].t
+    at_s = t
     for minute in minutes:
         if state and minute.t > t:
             break
