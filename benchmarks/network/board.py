@@ -2,7 +2,8 @@
 
 A process publishes 100 cameras and 30 robots at 10 Hz over Zenoh, `trigpoint board` serves them, a
 socket counts what one page takes, and Chromium, where there is one, shows the page: how long after
-its message a robot has moved on the screen.
+its message a robot has moved on the screen. A bare Zenoh session that hears the same, and does
+nothing with it, says what of the server's work is the bus. `--hours 24`: a day of a fast clock too.
 """
 
 import json
@@ -24,19 +25,32 @@ from typing import Annotated
 from urllib.parse import urlsplit
 
 import typer
-from support.builders import site_text
+from support.builders import TARGET_TEXT, site_text
 from support.site.board_site import BoardSite, Truth
 from support.site.board_site import run as publish
 
+from benchmarks.network.board_beside import beside
+from benchmarks.network.board_day import day
 from benchmarks.table import Row, lateness_rows
 from benchmarks.timing import resident_mb, worked_s
+from trigpoint.contract import topics
 from trigpoint.site.config import load_site
 from trigpoint.zenoh import open_bus
+from trigpoint.zenoh.session import called_at_once
 
 _FILES = ("", "board.css", "board.js", "map.js", "tables.js", "looking.js", "mark.svg")
 _SETTLED_S = 8.0
 _GOAL_MS = 200.0
+_LONGEST_S = 3600.0
 _row = partial(Row, "page")
+_SHOWN = (
+    topics.ROBOT_POSE,
+    topics.CAMERA_POSE,
+    topics.COVERAGE,
+    topics.SUGGESTION,
+    topics.COVERAGE_GRID,
+    topics.DIAGNOSTICS,
+)
 _ROUND_M = 10.0
 """Robot r1 goes a metre a second along x, over and over: where it is says when that was sent."""
 
@@ -66,6 +80,7 @@ def main(
     seconds: Annotated[float, typer.Option(help="Of each measurement.", min=2.0)] = 30.0,
     cameras: int = 100,
     robots: int = 30,
+    hours: Annotated[float, typer.Option(help="Of a fast clock; 0: none.", min=0.0)] = 0.0,
 ) -> list[Row]:
     """Measure the page's transfer, its latency, and what its server takes."""
     with tempfile.TemporaryDirectory() as folder, _site(Path(folder), cameras, robots) as path:
@@ -73,11 +88,13 @@ def main(
         try:
             time.sleep(_SETTLED_S)
             rows = [
-                *_transfer(address, process.pid, seconds),
+                *beside(path, address, process.pid, seconds),
+                *_transfer(path, address, process.pid, seconds),
                 *_to_the_page(address, seconds),
                 *_to_pixels(address, seconds),
             ]
-            return [*rows, _row("server's memory", "MB", resident_mb(process.pid), 0.0, "none")]
+            rows.append(_row("server's memory", "MB", resident_mb(process.pid), 0.0, "none"))
+            return rows + (day(hours) if hours else [])
         finally:
             process.terminate()
             process.wait(20)
@@ -87,6 +104,7 @@ def main(
 def _site(folder: Path, cameras: int, robots: int) -> Iterator[Path]:
     """A site file, whose site is published until the end."""
     path = folder / "site.toml"
+    (folder / "target.toml").write_text(TARGET_TEXT, encoding="utf-8")
     name = f"board_bench_p{os.getpid()}"
     path.write_text(site_text(name=name, cameras=cameras, robots=robots), encoding="utf-8")
     context = multiprocessing.get_context("spawn")
@@ -115,7 +133,36 @@ def _board(site: Path) -> tuple[subprocess.Popen[str], str]:
     return process, process.stdout.readline().rpartition(" ")[2].strip()
 
 
-def _transfer(address: str, pid: int, seconds: float) -> list[Row]:
+@contextmanager
+def _bare(site: Path) -> Iterator[int]:
+    """Bare Zenoh subscribers to all that the page shows, in a process of their own; its id."""
+    context = multiprocessing.get_context("spawn")
+    over = context.Event()
+    hearer = context.Process(target=_hear_bare, args=(site, over), daemon=True)
+    hearer.start()
+    try:
+        assert hearer.pid is not None
+        yield hearer.pid
+    finally:
+        over.set()
+        hearer.join(20)
+        hearer.kill()
+
+
+def _hear_bare(path: Path, over: Event) -> None:
+    site = load_site(path)
+    with open_bus(site) as bus:
+        session = bus._session  # what is beneath ours is measured
+        hearing = [
+            session.declare_subscriber(topic.expression(site.name), called_at_once(lambda _: None))
+            for topic in _SHOWN
+        ]
+        over.wait(_LONGEST_S)
+        for each in hearing:
+            each.undeclare()
+
+
+def _transfer(site: Path, address: str, pid: int, seconds: float) -> list[Row]:
     """On the wire, as a browser takes it; one page is open."""
     start = sum(_size(f"{address}{name}") for name in _FILES)
     with socket.create_connection((urlsplit(address).hostname, urlsplit(address).port)) as page:
@@ -124,14 +171,21 @@ def _transfer(address: str, pid: int, seconds: float) -> list[Row]:
             f"GET /events HTTP/1.1\r\nHost: {host}\r\nAccept-Encoding: gzip\r\n\r\n".encode()
         )
         state = _taken(page, 0.5)
-        busy_s, begin_s = worked_s(pid), time.monotonic()
-        steady = _taken(page, seconds)
-        share = (worked_s(pid) - busy_s) / (time.monotonic() - begin_s)
+        with _bare(site) as bare:
+            _taken(page, _SETTLED_S)
+            busy_s, begin_s = [worked_s(each) for each in (pid, bare)], time.monotonic()
+            steady = _taken(page, seconds)
+            for_s = time.monotonic() - begin_s
+            share, floor = (
+                (worked_s(each) - busy) / for_s
+                for each, busy in zip((pid, bare), busy_s, strict=True)
+            )
     return [
         _row("transfer at start, files", "kB", start / 1e3, 150.0, "the goal"),
         _row("transfer at start, first half second", "kB", state / 1e3, 150.0, "the goal"),
         _row("transfer, steady", "kB/s", steady / seconds / 1e3, 30.0, "the goal"),
         _row("server, one page", "cores", share, 0.1, "the goal"),
+        _row("server, one page", "cores", share, floor, "bare Zenoh that hears the same"),
     ]
 
 

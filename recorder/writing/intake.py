@@ -14,7 +14,7 @@ from trigpoint.base.errors import BusError, MessageError
 from trigpoint.bus.bus import Bus, Sample, Subscription
 from trigpoint.contract import cdr
 from trigpoint.contract.messages import Message
-from trigpoint.contract.topics import IMAGE, TOPICS, Topic, key_matches, topic_of
+from trigpoint.contract.topics import IMAGE, TOPICS, Topic, key_matches, node_of, topic_of
 from trigpoint.node.node import Node
 from trigpoint.node.watchdog import Pulse
 from trigpoint.site.config import Site
@@ -140,17 +140,18 @@ class Intake:
 
 def sound_message(topic: Topic, sample: Sample, site: Site) -> Message:
     """The message in a sample; raise MessageError if it does not follow the contract."""
+    check_sender(topic, sample, site)
+    return cdr.decode(topic.type_name, sample.payload)
+
+
+def check_sender(topic: Topic, sample: Sample, site: Site) -> None:
+    """Raise MessageError where a sample's key or encoding does not follow the contract, or the site
+    knows nobody of that name."""
     if topic_of(sample.key) is not topic:
         raise MessageError(f"{sample.key} is not a key of the contract")
     if not topic.may_be(sample.encoding):
         raise MessageError(f"the encoding is «{sample.encoding}», not «{topic.encoding}»")
-    _check_known(topic, sample.key, site)
-    return cdr.decode(topic.type_name, sample.payload)
-
-
-def _check_known(topic: Topic, key: str, site: Site) -> None:
-    match = topic.match(key)
-    name = match[1] if match else ""
+    name = node_of(sample.key)
     if topic.path.startswith("robot/"):
         kind, known = "robot", site.robots.keys()
     elif "{id}" in topic.path:

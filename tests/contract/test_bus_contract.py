@@ -124,6 +124,31 @@ def test_late_joiner_gets_the_last_value_once(pair: tuple[Bus, Bus]) -> None:
     assert subscription.take(0.1) is None
 
 
+def test_the_newest_of_each_key_is_had_also_by_late_joiners(pair: tuple[Bus, Bus]) -> None:
+    sender, receiver = pair
+    publishers = [sender.publisher(CAMERA_INFO, CAMERA_INFO.key("lab", f"c{n}")) for n in (1, 2)]
+    for publisher in publishers:
+        publisher.put(b"old")
+        publisher.put(b"new")
+    assert sender.flush(10.0)
+    latest = receiver.latest(CAMERA_INFO, CAMERA_INFO.expression("lab"))
+    assert eventually(lambda: latest.depth == 2)
+    taken = latest.take()
+    assert sorted(sample.key for sample in taken) == [
+        "lab/camera/c1/camera_info",
+        "lab/camera/c2/camera_info",
+    ]
+    assert payloads(taken) == [b"new", b"new"]
+    publishers[0].put(b"newer")
+    publishers[0].put(b"newest")
+    assert eventually(lambda: latest.received == 4)
+    assert payloads(latest.take()) == [b"newest"]
+    latest.close()
+    publishers[0].put(b"unheard")
+    assert sender.flush(10.0)
+    assert latest.take() == []
+
+
 def test_late_joiner_gets_what_it_missed_as_far_as_the_cache_reaches(
     pair: tuple[Bus, Bus],
 ) -> None:

@@ -7,7 +7,7 @@ from trigpoint.tools.web.pages import Page, Pages, event
 from .entities import Change, Entities, Fields, Whole, apply, difference
 
 MOST_PAGES = 24
-MOST_WAITING = 50
+MOST_WAITING = 100
 """Changes that may wait for one page: five seconds' worth."""
 QUIET_S = 1.0
 """Something is sent at least this often, so that a page knows a silent server from a still site."""

@@ -1,7 +1,10 @@
 """The floor plan under the page's map: its picture, and where it lies."""
 
+from collections.abc import Sequence
+
 from trigpoint.base.errors import InputError
-from trigpoint.contract.messages import PoseEstimate
+from trigpoint.geometry import Pose
+from trigpoint.geometry.rotation import Array
 from trigpoint.map.building import load_plan
 from trigpoint.map.live_laying import LiveLaying
 from trigpoint.site.config import Site
@@ -19,20 +22,28 @@ class Floor:
 
     def __init__(self, site: Site) -> None:
         plan = load_plan(site)
+        self._is_surveyed = site.map is not None and bool(site.map.points)
         self._plan = None if plan is None else plan.reduced(_MOST_PIXELS)
         self._laying = LiveLaying(site.map, plan)
         self._building = self._laying.given()
         self._trouble = ""
         self.picture = b"" if self._plan is None else png(self._plan.pixels, colours=_SHADES)
 
-    def take(self, kind: str, name: str, message: PoseEstimate) -> None:
-        """Take the pose of a camera or robot, by which the map may be laid anew."""
-        place, covariance = message.pose.translation, message.covariance[:3, :3]
-        if kind == "camera":
-            self._laying.take_camera(name, place, covariance)
-        else:
-            self._laying.take_robot(name, message.stamp_ns, place, covariance)
-        laid = self._laying.laid(message.stamp_ns)
+    def take(
+        self, entities: Sequence[str], poses: Pose, covariances: Array, stamps_ns: Sequence[int]
+    ) -> None:
+        """Take poses (n) of cameras or robots, by which the map may be laid anew, with their
+        covariances (n, 6, 6)."""
+        if not self._is_surveyed:
+            return
+        places = zip(entities, poses.translation, covariances[:, :3, :3], stamps_ns, strict=True)
+        for entity, place, covariance, stamp_ns in places:
+            kind, _, name = entity.partition("/")
+            if kind == "camera":
+                self._laying.take_camera(name, place, covariance)
+            else:
+                self._laying.take_robot(name, stamp_ns, place, covariance)
+        laid = self._laying.laid(max(stamps_ns))
         if isinstance(laid, InputError):
             self._trouble = str(laid)
         elif laid is not None:

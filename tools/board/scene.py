@@ -5,13 +5,13 @@ cannot be seen is not sent.
 """
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
 from trigpoint.base.clock import to_ns, to_seconds
 from trigpoint.contract import topics
-from trigpoint.contract.messages import Message, Polygon, PoseEstimate, PoseStamped
+from trigpoint.contract.messages import Message, Polygon, PoseStamped
 from trigpoint.contract.topics import Topic
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
@@ -30,15 +30,21 @@ _SEEN_STEP_S = 2
 _ELLIPSE_95 = math.sqrt(-2 * math.log(0.05))
 """Half-axes of the ellipse that holds a point of a plane with 95 %, in sigmas."""
 _OUTLINE_M = 0.05
+_FURTHEST_M = 1e6
+"""No site is so large; what a stranger says beyond it would not be a number once it is rounded."""
 
 
 class Scene:
     """What is known of each camera and robot. Times are when a message was received, ns."""
 
-    def __init__(self, cameras: Iterable[str], robots: Iterable[str]) -> None:
+    def __init__(self, site: str, cameras: Iterable[str], robots: Iterable[str]) -> None:
+        robots = tuple(robots)
         self._fields: Entities = {f"camera/{name}": {"state": UNSEEN} for name in cameras}
         self._fields |= {
             f"robot/{name}": {"stale": True, "index": i} for i, name in enumerate(robots)
+        }
+        self._corrections = {
+            f"robot/{name}": f"sent {topics.CORRECTION.key(site, name)}.rate" for name in robots
         }
         self._posed_ns: dict[str, int] = {}
         self._goal_ns: dict[str, int] = {}
@@ -47,26 +53,35 @@ class Scene:
     def take(self, topic: Topic, name: str, message: Message, received_ns: int) -> None:
         kind = topic.path.partition("/")[0]
         entity = f"{'robot' if kind == 'robot' else 'camera'}/{name}"
-        if topic is topics.CORRECTION:
-            self._set(entity, {"fixed": int(to_seconds(received_ns))})
-        elif isinstance(message, PoseEstimate):
-            self._posed_ns[entity] = received_ns
-            self._set(entity, (_robot if kind == "robot" else _camera)(message))
-        elif isinstance(message, PoseStamped):
+        if isinstance(message, PoseStamped):
             self._goal_ns[entity] = received_ns
-            self._set(entity, {"goal": _plane(message.pose)})
+            self._set(entity, {"goal": _plane(Pose.stack([message.pose]))[0]})
         elif isinstance(message, Polygon):
             self._set(entity, {"floor": _outline(message.points[:, :2])})
 
-    def needs(self, topic: Topic, name: str, received_ns: int) -> bool:
-        """Whether a message says anything new: a correction does by its second."""
-        fixed = self._fields.get(f"robot/{name}", {}).get("fixed")
-        return topic is not topics.CORRECTION or fixed != int(to_seconds(received_ns))
+    def take_poses(
+        self, entities: Sequence[str], poses: Pose, covariances: Array, received_ns: Sequence[int]
+    ) -> None:
+        """Take where some cameras are, or some robots; `poses`: (n), `covariances`: (n, 6, 6)."""
+        is_robots = entities[0].startswith("robot/")
+        shown = (_robots if is_robots else _cameras)(poses, _uncertainty(covariances))
+        for entity, fields, at_ns in zip(entities, shown, received_ns, strict=True):
+            self._posed_ns[entity] = at_ns
+            self._set(entity, fields)
 
-    def report(self, camera: str, values: Mapping[str, str], received_ns: int) -> None:
-        """Take what a camera's agent reports of the faces it found: that is enough to say whether
-        it sees a target, and its sightings, a thousand a second, need not come here."""
-        entity = f"camera/{camera}"
+    def report(self, node: str, values: Mapping[str, str], received_ns: int) -> None:
+        """Take what a node reports once a second. A camera's agent says how many faces it found and
+        fusion whom it corrected, so sightings and corrections, thousands a second, need not come
+        here."""
+        kind, _, name = node.partition("/")
+        if kind == "edge":
+            self._report_faces(f"camera/{name}", values, received_ns)
+        elif kind == "fusion":
+            for robot, rate in self._corrections.items():
+                if number_said(values.get(rate, "")) > 0:
+                    self._set(robot, {"fixed": round(to_seconds(received_ns))})
+
+    def _report_faces(self, entity: str, values: Mapping[str, str], received_ns: int) -> None:
         if entity not in self._fields or number_said(values.get("faces.total", "")) <= 0:
             return
         if self._fields[entity]["state"] == UNSEEN:
@@ -75,18 +90,14 @@ class Scene:
             seen_s = round(to_seconds(received_ns))
             self._set(entity, {"seen": seen_s // _SEEN_STEP_S * _SEEN_STEP_S})
 
-    def changed(self, now_ns: int) -> Entities:
-        """The entities that may have changed since the last call, with what time alone changed."""
-        self._age(now_ns)
+    def changed(self) -> Entities:
+        """The entities that may have changed since the last call."""
         found = {name: self._fields[name] for name in self._dirty}
         self._dirty.clear()
         return found
 
-    def _set(self, entity: str, fields: Fields) -> None:
-        self._fields[entity] = self._fields[entity] | fields
-        self._dirty.add(entity)
-
-    def _age(self, now_ns: int) -> None:
+    def age(self, now_ns: int) -> None:
+        """Take what time alone changes."""
         camera_ns = max((ns for n, ns in self._posed_ns.items() if n[0] == "c"), default=0)
         for entity, posed_ns in self._posed_ns.items():
             kind = entity.partition("/")[0]
@@ -100,41 +111,54 @@ class Scene:
             del self._goal_ns[entity]
             self._set(entity, {"goal": None})
 
-
-def _robot(message: PoseEstimate) -> Fields:
-    return {"at": _plane(message.pose), "stale": False} | _uncertainty(message.covariance)
-
-
-def _camera(message: PoseEstimate) -> Fields:
-    ahead = message.pose.rotation[:, 2]
-    azimuth, elevation = math.atan2(ahead[1], ahead[0]), math.asin(max(-1.0, min(1.0, ahead[2])))
-    place: Fields = {
-        "state": LOCATED,
-        "stale": False,
-        "at": [round(v, 3) for v in message.pose.translation.tolist()],
-        "look": [round(azimuth, 3), round(elevation, 3)],
-    }
-    return place | _uncertainty(message.covariance)
+    def _set(self, entity: str, fields: Fields) -> None:
+        self._fields[entity] = self._fields[entity] | fields
+        self._dirty.add(entity)
 
 
-def _plane(pose: Pose) -> list[float]:
-    """x, y, heading."""
-    return [round(float(value), 3) for value in (*pose.translation[:2], pose.heading)]
+def _robots(poses: Pose, uncertainty: list[Fields]) -> list[Fields]:
+    places = zip(_plane(poses), uncertainty, strict=True)
+    return [{"at": at, "stale": False, **known} for at, known in places]
 
 
-def _uncertainty(covariance: Array) -> Fields:
-    """`sigma`: root of the position's trace, m, as the viewer says it; `turn`: of the heading, rad;
-    `ellipse`: half-axes on the floor that hold 95 %, m, and the longer one's direction."""
-    a, b, c = float(covariance[0, 0]), float(covariance[0, 1]), float(covariance[1, 1])
-    middle, apart = (a + c) / 2, math.hypot((a - c) / 2, b)  # the eigenvalues, ± apart
-    long, short = (_ELLIPSE_95 * math.sqrt(max(0.0, v)) for v in (middle + apart, middle - apart))
-    direction = math.atan2(2 * b, a - c) / 2 % math.pi
-    height = float(covariance[2, 2])
-    return {
-        "sigma": _two_digits(math.sqrt(max(0.0, a + c + height))),
-        "turn": _two_digits(math.sqrt(max(0.0, float(covariance[5, 5])))),
-        "ellipse": [_two_digits(long), _two_digits(short), round(direction, 1)],
-    }
+def _cameras(poses: Pose, uncertainty: list[Fields]) -> list[Fields]:
+    """`look`: azimuth and elevation of the optical axis."""
+    ahead = poses.rotation[:, :, 2]
+    azimuth, elevation = np.arctan2(ahead[:, 1], ahead[:, 0]), np.arcsin(ahead[:, 2].clip(-1, 1))
+    looks = _rounded(np.stack([azimuth, elevation], axis=1))
+    places = zip(_rounded(poses.translation), looks, uncertainty, strict=True)
+    return [
+        {"state": LOCATED, "stale": False, "at": at, "look": look, **known}
+        for at, look, known in places
+    ]
+
+
+def _plane(poses: Pose) -> list[list[float]]:
+    """x, y, heading of each."""
+    return _rounded(np.column_stack([poses.translation[:, :2], poses.heading]))
+
+
+def _rounded(values: Array) -> list[list[float]]:
+    return np.round(values.clip(-_FURTHEST_M, _FURTHEST_M), 3).tolist()
+
+
+def _uncertainty(covariances: Array) -> list[Fields]:
+    """Of each pose. `sigma`: root of the position's trace, m, as the viewer says it; `turn`: of the
+    heading, rad; `ellipse`: half-axes on the floor that hold 95 %, m, and the longer one's
+    direction."""
+    a, b, c, height, turn = covariances[:, [0, 0, 1, 2, 5], [0, 1, 1, 2, 5]].T
+    middle, apart = (a + c) / 2, np.hypot((a - c) / 2, b)  # the eigenvalues, ± apart
+    variances = np.stack([a + c + height, turn, middle + apart, middle - apart])
+    sigmas = np.sqrt(np.maximum(0.0, variances)).T.tolist()
+    directions = np.round(np.arctan2(2 * b, a - c) / 2 % math.pi, 1).tolist()
+    return [
+        {
+            "sigma": _two_digits(sigma),
+            "turn": _two_digits(turned),
+            "ellipse": [_two_digits(_ELLIPSE_95 * axis) for axis in axes] + [direction],
+        }
+        for (sigma, turned, *axes), direction in zip(sigmas, directions, strict=True)
+    ]
 
 
 def _two_digits(value: float) -> float:

@@ -11,7 +11,7 @@ from trigpoint.contract.topics import SIGHTINGS, topic_of
 from trigpoint.node.health import LOST_SO_FAR
 from trigpoint.node.peers import MET
 
-_NO_GAUGES = (
+_NO_GAUGES = frozenset({
     "version",
     "contract",
     "session",
@@ -21,7 +21,7 @@ _NO_GAUGES = (
     "uptime",
     "last_error",
     MET,
-)
+})  # fmt: skip
 _FACES = "faces"
 STATES = ("ok", "warning", "error", "stale")
 
@@ -122,6 +122,18 @@ def _versions(nodes: list[NodeStatus]) -> dict[str, list[str]]:
 
 def _node(status: DiagnosticStatus, is_alive: bool) -> NodeStatus:
     values = status.values
+    numbers: dict[str, dict[str, float]] = {"rate": {}, "total": {}, "depth": {}, "lost": {}}
+    gauges: dict[str, float] = {}
+    words: dict[str, str] = {}
+    for name, text in values.items():
+        stem, dot, kind = name.rpartition(".")
+        if dot and kind in numbers:
+            numbers[kind][stem] = number_said(text)
+        elif not dot and name not in _NO_GAUGES:
+            if _is_number(text):
+                gauges[name] = number_said(text)
+            else:
+                words[name] = text
     state = STATES[min(status.level, 3)] if is_alive else "gone"
     return NodeStatus(
         name=status.name,
@@ -131,26 +143,14 @@ def _node(status: DiagnosticStatus, is_alive: bool) -> NodeStatus:
         version=values.get("version", ""),
         contract=values.get("contract", ""),
         uptime_s=number_said(values.get("uptime", "")),
-        rates={name: number_said(text) for name, text in _ending(values, ".rate")},
-        totals={name: int(number_said(text)) for name, text in _ending(values, ".total")},
-        depths={name: int(number_said(text)) for name, text in _ending(values, ".depth")},
-        losses={name: int(number_said(text)) for name, text in _ending(values, ".lost")},
-        gauges={
-            n: number_said(text) for n, text in values.items() if _is_gauge(n) and _is_number(text)
-        },
-        words={n: text for n, text in values.items() if _is_gauge(n) and not _is_number(text)},
+        rates=numbers["rate"],
+        totals={name: int(total) for name, total in numbers["total"].items()},
+        depths={name: int(depth) for name, depth in numbers["depth"].items()},
+        losses={name: int(lost) for name, lost in numbers["lost"].items()},
+        gauges=gauges,
+        words=words,
         last_error=values.get("last_error", ""),
     )
-
-
-def _is_gauge(name: str) -> bool:
-    return "." not in name and name not in _NO_GAUGES
-
-
-def _ending(values: dict[str, str], ending: str) -> list[tuple[str, str]]:
-    return [
-        (key.removesuffix(ending), text) for key, text in values.items() if key.endswith(ending)
-    ]
 
 
 def _is_number(text: str) -> bool:

@@ -62,12 +62,8 @@ class Bell:
         return self._is_silent.acquire(timeout=max(0.0, timeout_s))
 
 
-class Subscription(Protocol):
-    """Samples of one key expression, in order of arrival."""
-
-    def take(self, timeout_s: float) -> Sample | None:
-        """The next sample, or None on timeout or once the subscription is closed."""
-        ...
+class Incoming(Protocol):
+    """What comes in on one key expression, counted."""
 
     @property
     def depth(self) -> int:
@@ -81,7 +77,17 @@ class Subscription(Protocol):
 
     @property
     def dropped(self) -> int:
-        """Number of samples lost: dropped from the full queue, or missed in transit."""
+        """Number of samples lost: dropped since too many waited, or missed in transit."""
+        ...
+
+    def close(self) -> None: ...
+
+
+class Subscription(Incoming, Protocol):
+    """Samples of one key expression, in order of arrival."""
+
+    def take(self, timeout_s: float) -> Sample | None:
+        """The next sample, or None on timeout or once the subscription is closed."""
         ...
 
     @property
@@ -89,7 +95,13 @@ class Subscription(Protocol):
         """Number of samples dropped from the full queue, by key."""
         ...
 
-    def close(self) -> None: ...
+
+class Latest(Incoming, Protocol):
+    """Of each key of an expression the newest sample; those that it replaces are no loss."""
+
+    def take(self) -> list[Sample]:
+        """The newest sample of each key that has one since the last call; never waits."""
+        ...
 
 
 class Publisher(Protocol):
@@ -180,6 +192,10 @@ class Bus(Protocol):
         and senders take turns; otherwise samples are taken in order of arrival. `bell`: rung at
         each arrival.
         """
+        ...
+
+    def latest(self, topic: Topic, expression: str) -> Latest:
+        """Subscribe with the topic's delivery, for the newest sample of each key alone."""
         ...
 
     def declare_alive(self, key: str) -> Closable:

@@ -17,9 +17,11 @@ from .cdr_ros import Builder, full_definition, store
 from .cdr_writing import quickly_written
 from .messages import (
     CAMERA_INFO,
+    DIAGNOSTICS,
     ODOMETRY,
     PICTURE,
     POSE_ESTIMATE,
+    POSE_STAMPED,
     RAW_IMAGE,
     SIGHTINGS,
     CameraInfo,
@@ -46,7 +48,9 @@ _LAYOUTS: dict[str, Callable[[bytes], Message | None]] = {
     ODOMETRY: cdr_layout.odometry,
     SIGHTINGS: cdr_layout.sightings,
     POSE_ESTIMATE: cdr_layout.pose_estimate,
+    POSE_STAMPED: cdr_layout.pose_stamped,
     CAMERA_INFO: cdr_layout.camera_info,
+    DIAGNOSTICS: cdr_layout.diagnostics,
 }
 
 

@@ -1,4 +1,4 @@
-"""Reads odometry, sightings and poses directly from their bytes: a session has tens of thousands.
+"""Reads what a site says all the time directly from its bytes: a session has tens of thousands.
 
 rosbags takes 32 µs for an odometry message, this 5 µs. Only messages that are valid in every
 respect are read; for all others these functions return None, and the general path in `cdr` says
@@ -17,7 +17,16 @@ from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.camera import LensModel
 from trigpoint.geometry.rotation import of_quaternion, of_quaternions
 
-from .messages import CameraInfo, FaceSighting, Odometry, PoseEstimate, Sightings
+from .messages import (
+    CameraInfo,
+    Diagnostics,
+    DiagnosticStatus,
+    FaceSighting,
+    Odometry,
+    PoseEstimate,
+    PoseStamped,
+    Sightings,
+)
 
 # Limits of a corner's sigma and position; beyond them arithmetic would suffer.
 LEAST_SIGMA_PX, MOST_SIGMA_PX = 1e-3, 1e3
@@ -43,6 +52,7 @@ COUNT = struct.Struct("<I")
 TWO_COUNTS = struct.Struct("<II")
 FACE = struct.Struct("<iI")
 SIGMA = struct.Struct("<f")
+_LEVEL = struct.Struct("<b")
 # Pose, covariance, twist, covariance.
 ODOMETRY = struct.Struct("<7d288x6d288x")
 POSE = struct.Struct("<7d")
@@ -52,6 +62,7 @@ _LENS = struct.Struct("<9d")
 _RECTIFIED = struct.Struct("<21d6I?")
 # More are refused by the general path.
 _MOST_COEFFICIENTS = 16
+_MOST_REPORT_BYTES = 1 << 20
 
 
 def odometry(payload: bytes) -> Odometry | None:
@@ -84,40 +95,54 @@ def odometry(payload: bytes) -> Odometry | None:
 def odometry_run(payloads: Sequence[bytes]) -> tuple[np.ndarray, Pose] | None:
     """The stamps (n,), ns, and poses (n) of messages, to the last bit as `odometry` reads each;
     None if one of them is not valid, or has other names than the first."""
-    first, size = payloads[0], len(payloads[0])
-    names = first[_START + STAMP.size : size - ODOMETRY.size]
-    if len(names) > _MOST_NAMES_BYTES or any(len(payload) != size for payload in payloads):
+    names = payloads[0][_START + STAMP.size : len(payloads[0]) - ODOMETRY.size]
+    if len(names) > _MOST_NAMES_BYTES:
         return None
     try:
         *_, position = _frames(names)
     except (struct.error, ValueError):
         return None
-    rows = np.frombuffer(b"".join(payloads), _row(position, size))
+    twist = 6, POSE.size + 8 * _COVARIANCE
+    read = _run(payloads, position, twist, position + ODOMETRY.size)
+    return None if read is None else read[:2]
+
+
+def _run(
+    payloads: Sequence[bytes], position: int, others: tuple[int, int], end: int
+) -> tuple[np.ndarray, Pose, np.ndarray] | None:
+    """The stamps (n,), ns, poses (n) and other numbers (n, m) of messages that end at `end` and
+    have the same names before the pose at `position`; None if one of them is not valid. `others`:
+    how many numbers, and how many bytes behind the pose's begin."""
+    first, size = payloads[0], len(payloads[0])
+    if any(len(payload) != size for payload in payloads) or not _is_whole(first, end):
+        return None
+    rows = np.frombuffer(b"".join(payloads), _row(position, size, *others))
     is_alike = np.all(rows["byte_order"] == rows["byte_order"][0]) and np.all(
         rows["names"] == rows["names"][0]
     )
     pose = np.ascontiguousarray(rows["pose"])
     # Each sum is finite only if all of it are.
-    is_finite = np.isfinite(pose.sum(axis=1) + rows["twist"].sum(axis=1)).all()
-    if not (is_alike and is_finite and _is_whole(first, position + ODOMETRY.size)):
+    is_finite = np.isfinite(pose.sum(axis=1) + rows["others"].sum(axis=1)).all()
+    if not (is_alike and is_finite):
         return None
     quaternions = pose[:, 3:]
     if np.abs(np.linalg.norm(quaternions, axis=1) - 1).max() > UNIT_TOLERANCE:
         return None
     stamps_ns = rows["seconds"].astype(np.int64) * 1_000_000_000 + rows["nanoseconds"]
-    return stamps_ns, Pose(of_quaternions(quaternions), pose[:, :3].copy())
+    return stamps_ns, Pose(of_quaternions(quaternions), pose[:, :3].copy()), rows["others"]
 
 
 @lru_cache(maxsize=256)
-def _row(position: int, size: int) -> np.dtype:
-    """An odometry message of this size whose pose is at this position."""
+def _row(position: int, size: int, count: int, offset: int) -> np.dtype:
+    """A message of this size with its pose at this position and `count` other numbers so many bytes
+    behind where that begins."""
     fields = {
         "byte_order": ("u2", 0),
         "seconds": ("<i4", _START),
         "nanoseconds": ("<u4", _START + 4),
         "names": (("u1", position - _START - STAMP.size), _START + STAMP.size),
         "pose": (("<f8", 7), position),
-        "twist": (("<f8", 6), position + 8 * (7 + _COVARIANCE)),
+        "others": (("<f8", count), position + offset),
     }
     formats, offsets = zip(*fields.values(), strict=True)
     return np.dtype({"names": [*fields], "formats": formats, "offsets": offsets, "itemsize": size})
@@ -136,24 +161,59 @@ def _frames(names: bytes) -> tuple[str, str, int]:
 def pose_estimate(payload: bytes) -> PoseEstimate | None:
     """The message, or None if it is not valid."""
     try:
-        stamp_ns, frame_id, position = _header(payload)
-        position = _aligned(position, 8)
-        values = POSE.unpack_from(payload, position)
-        covariance = np.frombuffer(payload, "<f8", _COVARIANCE, position + POSE.size)
+        stamp_ns, frame_id, pose, position = _posed(payload)
+        covariance = np.frombuffer(payload, "<f8", _COVARIANCE, position)
     except (struct.error, ValueError):
         return None
-    x, y, z, *quaternion = values
-    end = position + POSE.size + covariance.nbytes
-    # Each sum is finite only if all of it are.
-    is_sound = _is_whole(payload, end) and math.isfinite(sum(values) + math.fsum(covariance))
-    if not is_sound or abs(math.hypot(*quaternion) - 1) > UNIT_TOLERANCE:
+    # The sum is finite only if all of them are.
+    if not _is_whole(payload, position + covariance.nbytes) or not math.isfinite(
+        sum(covariance.tolist())
+    ):
         return None
-    return PoseEstimate(
-        stamp_ns,
-        frame_id,
-        Pose(of_quaternion(*quaternion), np.array((x, y, z))),
-        covariance.reshape(6, 6).astype(float),
-    )
+    return PoseEstimate(stamp_ns, frame_id, pose, covariance.reshape(6, 6).astype(float))
+
+
+def pose_estimate_run(payloads: Sequence[bytes]) -> tuple[np.ndarray, Pose, np.ndarray] | None:
+    """The stamps (n,), ns, poses (n) and covariances (n, 6, 6) of messages, to the last bit as
+    `pose_estimate` reads each; None if one of them is not valid, or has another frame than the
+    first."""
+    try:
+        *_, position = _header(payloads[0])
+    except (struct.error, ValueError):
+        return None
+    position = _aligned(position, 8)
+    end = position + POSE.size + 8 * _COVARIANCE
+    read = _run(payloads, position, (_COVARIANCE, POSE.size), end)
+    if read is None:
+        return None
+    stamps_ns, poses, covariances = read
+    return stamps_ns, poses, covariances.reshape(-1, 6, 6).astype(float)
+
+
+def pose_stamped(payload: bytes) -> PoseStamped | None:
+    """The message, or None if it is not valid."""
+    try:
+        stamp_ns, frame_id, pose, end = _posed(payload)
+    except (struct.error, ValueError):
+        return None
+    return PoseStamped(stamp_ns, frame_id, pose) if _is_whole(payload, end) else None
+
+
+def diagnostics(payload: bytes) -> Diagnostics | None:
+    """The message, or None if it is not valid."""
+    if len(payload) > _MOST_REPORT_BYTES:
+        return None
+    try:
+        stamp_ns, _, position = _header(payload)
+        (count,) = COUNT.unpack_from(payload, position)
+        position += COUNT.size
+        statuses: list[DiagnosticStatus] = []
+        for _ in range(count):  # each takes bytes, of which there are only so many
+            status, position = _status(payload, position)
+            statuses.append(status)
+    except (struct.error, ValueError, IndexError):
+        return None
+    return Diagnostics(stamp_ns, tuple(statuses)) if _is_whole(payload, position) else None
 
 
 def sightings(payload: bytes) -> Sightings | None:
@@ -220,6 +280,37 @@ def _face(payload: bytes, position: int) -> tuple[FaceSighting, int]:
     return found, position + SIGMA.size
 
 
+def _posed(payload: bytes) -> tuple[int, str, Pose, int]:
+    """A message's stamp, frame and pose, and the position after them; ValueError or struct.error if
+    they are none."""
+    stamp_ns, frame_id, position = _header(payload)
+    position = _aligned(position, 8)
+    x, y, z, *quaternion = POSE.unpack_from(payload, position)
+    # The sum is finite only if all of them are.
+    length = math.hypot(*quaternion)
+    if not math.isfinite(x + y + z + length) or abs(length - 1) > UNIT_TOLERANCE:
+        raise ValueError
+    pose = Pose(of_quaternion(*quaternion), np.array((x, y, z)))
+    return stamp_ns, frame_id, pose, position + POSE.size
+
+
+def _status(payload: bytes, position: int) -> tuple[DiagnosticStatus, int]:
+    """A component's state and the position after it; IndexError, ValueError or struct.error if it
+    is none."""
+    (level,) = _LEVEL.unpack_from(payload, position)
+    name, position = _text(payload, position + 1)
+    message, position = _text(payload, position)
+    hardware, position = _text(payload, position)
+    position = _aligned(position, 4)
+    (pairs,) = COUNT.unpack_from(payload, position)
+    position += COUNT.size
+    values: dict[str, str] = {}
+    for _ in range(pairs):
+        key, position = _text(payload, position)
+        values[key], position = _text(payload, position)
+    return DiagnosticStatus(level, name, message, hardware, values), position
+
+
 def check_count(what: str, count: int, most: int) -> None:
     """Raise MessageError if a count exceeds its limit."""
     if count > most:
@@ -246,6 +337,17 @@ def _string(payload: bytes, position: int) -> tuple[str, int]:
     check_count("bytes of a name", length, MOST_TEXT_BYTES)
     end = start + length
     if end <= start or payload[end - 1 : end] != b"\0":
+        raise ValueError
+    return payload[start : end - 1].decode(), end
+
+
+def _text(payload: bytes, position: int) -> tuple[str, int]:
+    """A string of any length and the position after it; IndexError, ValueError or struct.error if
+    it is not one."""
+    start = _aligned(position, 4) + COUNT.size
+    (length,) = COUNT.unpack_from(payload, start - COUNT.size)
+    end = start + length
+    if end <= start or payload[end - 1]:
         raise ValueError
     return payload[start : end - 1].decode(), end
 

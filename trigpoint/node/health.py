@@ -10,7 +10,7 @@ from msgspec import Struct
 from trigpoint.base.clock import Clock, SystemClock, to_ns, to_seconds
 from trigpoint.base.errors import MessageError
 from trigpoint.base.words import loss_words
-from trigpoint.bus.bus import Sample, Subscription
+from trigpoint.bus.bus import Incoming, Sample
 from trigpoint.contract.durations import Durations
 from trigpoint.contract.messages import Mended
 
@@ -64,7 +64,7 @@ class Health:
         self._losses: Counter[str] = Counter()
         self._durations: defaultdict[str, Durations] = defaultdict(Durations)
         self._gauges: dict[str, Callable[[], float]] = {}
-        self._watched: dict[str, Subscription] = {}
+        self._watched: dict[str, Incoming] = {}
         self._descriptions: dict[str, str] = {}
         self._held: dict[str, str] = {}
         self._last_error = ""
@@ -99,7 +99,7 @@ class Health:
         with self._lock:
             self._descriptions[name] = text
 
-    def watch(self, name: str, subscription: Subscription) -> None:
+    def watch(self, name: str, subscription: Incoming) -> None:
         """Show a subscription's total, rate, depth and losses."""
         with self._lock:
             self._watched[name] = subscription

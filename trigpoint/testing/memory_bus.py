@@ -12,9 +12,12 @@ from trigpoint.base.clock import Clock, SystemClock
 from trigpoint.base.closing import Closing
 from trigpoint.base.errors import BusError
 from trigpoint.bus.bus import COMMAND_TIMEOUT_S, Bell, Closable, Reply, Sample
+from trigpoint.bus.latest import LatestSamples
 from trigpoint.bus.queue import SampleQueue
 from trigpoint.bus.server import Server
 from trigpoint.contract.topics import Topic, key_matches
+
+_Listener = SampleQueue[Sample] | LatestSamples[Sample]
 
 
 class MemoryBroker:
@@ -24,7 +27,7 @@ class MemoryBroker:
         self.clock = clock or SystemClock()
         self.lock = threading.RLock()
         self.publishers: list[MemoryPublisher] = []
-        self.subscriptions: list[tuple[str, SampleQueue[Sample]]] = []
+        self.subscriptions: list[tuple[str, _Listener]] = []
         self.tokens: list[str] = []
         self.servers: list[Server] = []
         self._numbers = itertools.count(1)
@@ -74,7 +77,7 @@ class MemoryPublisher:
             if self in self._broker.publishers:
                 self._broker.publishers.remove(self)
 
-    def _listeners(self) -> list[SampleQueue[Sample]]:
+    def _listeners(self) -> list[_Listener]:
         subscriptions = self._broker.subscriptions
         return [queue for expression, queue in subscriptions if key_matches(expression, self.key)]
 
@@ -173,13 +176,25 @@ class MemoryBus(Closing):
             in_turns=in_turns,
             bell=bell,
         )
+        self._listen(topic, expression, queue)
+        return queue
+
+    def latest(self, topic: Topic, expression: str) -> LatestSamples[Sample]:
+        latest: LatestSamples[Sample] = LatestSamples(
+            lambda sample: sample,
+            lambda: self._unsubscribe(latest),
+            key_of=lambda sample: sample.key,
+        )
+        self._listen(topic, expression, latest)
+        return latest
+
+    def _listen(self, topic: Topic, expression: str, listener: _Listener) -> None:
         with self._broker.lock:
             if topic.cache:
                 for sample in self._history(expression, topic.cache):
-                    queue.push(sample)
-            self._broker.subscriptions.append((expression, queue))
-        self._declared.append(queue)
-        return queue
+                    listener.push(sample)
+            self._broker.subscriptions.append((expression, listener))
+        self._declared.append(listener)
 
     def declare_alive(self, key: str) -> Closable:
         token = _Token(self._broker, key)
@@ -226,9 +241,9 @@ class MemoryBus(Closing):
         ]
         return sorted(samples, key=lambda sample: sample.published_ns)
 
-    def _unsubscribe(self, queue: SampleQueue[Sample]) -> None:
+    def _unsubscribe(self, listener: _Listener) -> None:
         with self._broker.lock:
-            kept = [entry for entry in self._broker.subscriptions if entry[1] is not queue]
+            kept = [entry for entry in self._broker.subscriptions if entry[1] is not listener]
             self._broker.subscriptions[:] = kept
 
     def _withdraw(self, server: Server) -> None:

@@ -13,6 +13,7 @@ from trigpoint.base.ending import ENDING
 from trigpoint.base.errors import BusError
 from trigpoint.bus.bus import COMMAND_TIMEOUT_S, Bell, Closable, Reply
 from trigpoint.bus.gate import Gate
+from trigpoint.bus.latest import LatestSamples
 from trigpoint.bus.outbox import Outbox
 from trigpoint.bus.queue import SampleQueue
 from trigpoint.bus.server import Server
@@ -167,6 +168,16 @@ class ZenohBus(Closing):
             else:
                 undeclare = subscribe(self._session, topic, expression, queue)
             return queue
+
+        return self._declare(expression, declare)
+
+    def latest(self, topic: Topic, expression: str) -> LatestSamples[Arrival]:
+        def declare() -> LatestSamples[Arrival]:
+            latest = LatestSamples(
+                sample_of, lambda: self._close_once(latest, undeclare), key_of=key_of
+            )
+            undeclare = subscribe(self._session, topic, expression, latest)
+            return latest
 
         return self._declare(expression, declare)
 

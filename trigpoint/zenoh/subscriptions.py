@@ -6,6 +6,7 @@ from collections.abc import Callable
 import zenoh
 from zenoh import ext
 
+from trigpoint.bus.latest import LatestSamples
 from trigpoint.bus.queue import SampleQueue
 from trigpoint.bus.urgent import Newest
 from trigpoint.contract.topics import Delivery, Topic
@@ -16,7 +17,10 @@ from .session import Arrival, called_at_once
 
 
 def subscribe(
-    session: zenoh.Session, topic: Topic, expression: str, queue: SampleQueue[Arrival]
+    session: zenoh.Session,
+    topic: Topic,
+    expression: str,
+    queue: SampleQueue[Arrival] | LatestSamples[Arrival],
 ) -> Callable[[], None]:
     """Declare a subscriber that fills `queue`; return the function that withdraws it.
 

@@ -165,6 +165,9 @@ class BoardSite:
             values |= {"picture_age_s": "0.1", "source": "running"}
         elif node.startswith("robot/"):
             values |= {"odom.rate": f"{5 * unsteady:.1f}", "odom.total": "5000"}
+        else:
+            values |= {f"sent {key}.rate": f"{unsteady}" for key in self._publishers}
+            values |= {f"sent {key}.total": "1000" for key in self._publishers}
         return values
 
 

@@ -52,6 +52,7 @@ function take(message) {
     }
     for (const name of message.gone || []) {
       delete live[name];
+      announced.delete(name);
       if (!past) dirty.add(name);
     }
   }

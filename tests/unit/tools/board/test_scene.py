@@ -9,6 +9,7 @@ from trigpoint.contract import topics
 from trigpoint.contract.messages import Polygon, PoseEstimate, PoseStamped
 from trigpoint.geometry import Pose
 from trigpoint.testing.views import looking_at
+from trigpoint.tools.board.entities import Entities
 from trigpoint.tools.board.scene import Scene
 
 S = 1_000_000_000
@@ -16,9 +17,20 @@ COVARIANCE = np.diag([4e-4, 1e-4, 0.0, 0.0, 0.0, 1e-4])
 
 
 def scene() -> Scene:
-    found = Scene(["c1", "c2"], ["r1"])
-    found.changed(0)
+    found = Scene("lab", ["c1", "c2"], ["r1"])
+    found.changed()
     return found
+
+
+def changed(shown: Scene, now_ns: int) -> Entities:
+    shown.age(now_ns)
+    return shown.changed()
+
+
+def place(shown: Scene, name: str, estimate: PoseEstimate, received_ns: int) -> None:
+    entity = f"{'robot' if name.startswith('r') else 'camera'}/{name}"
+    pose, covariance = Pose.stack([estimate.pose]), estimate.covariance[None]
+    shown.take_poses([entity], pose, covariance, [received_ns])
 
 
 def robot_pose(x: float, y: float, heading: float) -> PoseEstimate:
@@ -32,16 +44,16 @@ def camera_pose() -> PoseEstimate:
 
 
 def test_a_camera_is_unseen_then_undetermined_then_located() -> None:
-    shown = Scene(["c1"], [])
-    assert shown.changed(0)["camera/c1"]["state"] == "unseen"
-    shown.report("c1", {"faces.total": "0", "faces.rate": "0.0"}, S)
-    shown.report("own_c9", {"faces.total": "5"}, S)  # of another site
-    shown.report("c1", {"faces.total": "many"}, S)
-    assert not shown.changed(S)
-    shown.report("c1", {"faces.total": "7", "faces.rate": "3.5"}, 2 * S)
-    assert shown.changed(2 * S)["camera/c1"] == {"state": "undetermined", "seen": 2}
-    shown.take(topics.CAMERA_POSE, "c1", camera_pose(), 3 * S)
-    camera = shown.changed(3 * S)["camera/c1"]
+    shown = Scene("lab", ["c1"], [])
+    assert changed(shown, 0)["camera/c1"]["state"] == "unseen"
+    shown.report("edge/c1", {"faces.total": "0", "faces.rate": "0.0"}, S)
+    shown.report("edge/own_c9", {"faces.total": "5"}, S)  # of another site
+    shown.report("edge/c1", {"faces.total": "many"}, S)
+    assert not changed(shown, S)
+    shown.report("edge/c1", {"faces.total": "7", "faces.rate": "3.5"}, 2 * S)
+    assert changed(shown, 2 * S)["camera/c1"] == {"state": "undetermined", "seen": 2}
+    place(shown, "c1", camera_pose(), 3 * S)
+    camera = changed(shown, 3 * S)["camera/c1"]
     assert camera["state"] == "located"
     assert camera["at"] == [1.0, 2.0, 2.0]
     assert camera["look"] == [round(math.pi / 2, 3), round(-math.pi / 6, 3)]
@@ -49,8 +61,8 @@ def test_a_camera_is_unseen_then_undetermined_then_located() -> None:
 
 def test_a_robot_has_its_place_and_its_ellipse() -> None:
     shown = scene()
-    shown.take(topics.ROBOT_POSE, "r1", robot_pose(1.23456, -2.0, 0.5), S)
-    robot = shown.changed(S)["robot/r1"]
+    place(shown, "r1", robot_pose(1.23456, -2.0, 0.5), S)
+    robot = changed(shown, S)["robot/r1"]
     assert robot["at"] == [1.235, -2.0, 0.5]
     # 95 % of a plane's normal distribution lie within 2.4477 sigmas.
     assert robot["ellipse"] == [pytest.approx(0.049), pytest.approx(0.024), 0.0]
@@ -64,52 +76,53 @@ def test_the_ellipse_lies_along_the_worst_direction() -> None:
     covariance[:2, :2] = turn @ np.diag([9e-4, 1e-4]) @ turn.T
     shown = scene()
     estimate = PoseEstimate(0, "map", Pose.planar(0, 0, 0), covariance)
-    shown.take(topics.ROBOT_POSE, "r1", estimate, S)
-    ellipse = shown.changed(S)["robot/r1"]["ellipse"]
+    place(shown, "r1", estimate, S)
+    ellipse = changed(shown, S)["robot/r1"]["ellipse"]
     assert isinstance(ellipse, list)
     assert ellipse[2] == pytest.approx(1.0)
 
 
 def test_who_is_silent_is_stale_and_who_comes_back_is_not() -> None:
     shown = scene()
-    shown.take(topics.ROBOT_POSE, "r1", robot_pose(0, 0, 0), S)
-    shown.changed(S)
-    assert not shown.changed(2 * S)
-    assert shown.changed(4 * S)["robot/r1"]["stale"] is True
-    shown.take(topics.ROBOT_POSE, "r1", robot_pose(0, 0, 0), 5 * S)
-    assert shown.changed(5 * S)["robot/r1"]["stale"] is False
+    place(shown, "r1", robot_pose(0, 0, 0), S)
+    changed(shown, S)
+    assert not changed(shown, 2 * S)
+    assert changed(shown, 4 * S)["robot/r1"]["stale"] is True
+    place(shown, "r1", robot_pose(0, 0, 0), 5 * S)
+    assert changed(shown, 5 * S)["robot/r1"]["stale"] is False
 
 
 def test_a_camera_that_is_announced_no_more_while_others_are_is_undetermined() -> None:
     shown = scene()
     for name in ("c1", "c2"):
-        shown.take(topics.CAMERA_POSE, name, camera_pose(), S)
+        place(shown, name, camera_pose(), S)
     for second in range(2, 14):
-        shown.take(topics.CAMERA_POSE, "c2", camera_pose(), second * S)
-        shown.changed(second * S)
-    shown.take(topics.CAMERA_POSE, "c2", camera_pose(), 14 * S)
-    assert shown.changed(14 * S)["camera/c2"]["state"] == "located"
+        place(shown, "c2", camera_pose(), second * S)
+        changed(shown, second * S)
+    place(shown, "c2", camera_pose(), 14 * S)
+    assert changed(shown, 14 * S)["camera/c2"]["state"] == "located"
     assert shown._fields["camera/c1"]["state"] == "undetermined"
 
 
 def test_all_cameras_stay_located_where_fusion_is_away() -> None:
     shown = scene()
     for name in ("c1", "c2"):
-        shown.take(topics.CAMERA_POSE, name, camera_pose(), S)
-    cameras = shown.changed(60 * S)
+        place(shown, name, camera_pose(), S)
+    cameras = changed(shown, 60 * S)
     assert {camera["state"] for camera in cameras.values()} == {"located"}
     assert all(camera["stale"] for camera in cameras.values())
 
 
 def test_a_correction_is_a_time_and_a_suggestion_ends() -> None:
     shown = scene()
-    shown.take(topics.CORRECTION, "r1", robot_pose(9, 9, 9), 7 * S)
+    shown.report("fusion/fusion", {"sent lab/robot/r1/correction.rate": "9.9"}, 7 * S)
+    shown.report("fusion/fusion", {"sent lab/robot/r1/correction.rate": "0.0"}, 8 * S)
     goal = PoseStamped(0, "map", Pose.planar(1, 2, 0.1))
     shown.take(topics.SUGGESTION, "r1", goal, 7 * S)
-    robot = shown.changed(7 * S)["robot/r1"]
+    robot = changed(shown, 7 * S)["robot/r1"]
     assert (robot["fixed"], robot["goal"]) == (7, [1.0, 2.0, 0.1])
     assert "at" not in robot  # a correction is not where the robot is
-    assert shown.changed(60 * S)["robot/r1"]["goal"] is None
+    assert changed(shown, 60 * S)["robot/r1"]["goal"] is None
 
 
 def test_an_outline_keeps_its_corners_and_loses_what_lies_between() -> None:
@@ -121,7 +134,7 @@ def test_an_outline_keeps_its_corners_and_loses_what_lies_between() -> None:
     ])  # fmt: skip
     shown = scene()
     shown.take(topics.COVERAGE, "c1", Polygon(0, "map", square), S)
-    assert shown.changed(S)["camera/c1"]["floor"] == [0, 0, 4, 0, 4, 4, 0, 4]
+    assert changed(shown, S)["camera/c1"]["floor"] == [0, 0, 4, 0, 4, 4, 0, 4]
 
 
 def test_an_outline_is_never_further_off_than_is_said() -> None:
@@ -137,7 +150,7 @@ def test_an_outline_is_never_further_off_than_is_said() -> None:
 
 
 def floor_of(shown: Scene) -> list[float]:
-    floor = shown.changed(S)["camera/c1"]["floor"]
+    floor = changed(shown, S)["camera/c1"]["floor"]
     assert isinstance(floor, list)
     return floor
 

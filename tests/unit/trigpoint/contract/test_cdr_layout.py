@@ -1,5 +1,7 @@
 """Held against rosbags, which reads the same bytes by the types' definitions."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -18,9 +20,14 @@ from trigpoint.contract.cdr import (
 from trigpoint.contract.cdr_writing import quickly_written
 from trigpoint.contract.messages import (
     CAMERA_INFO,
+    DIAGNOSTICS,
     ODOMETRY,
+    POSE_ESTIMATE,
+    POSE_STAMPED,
     SIGHTINGS,
     CameraInfo,
+    Diagnostics,
+    DiagnosticStatus,
     FaceSighting,
     Message,
     Odometry,
@@ -68,23 +75,31 @@ lenses = st.sampled_from(
     )
 )
 cameras = st.builds(CameraInfo, stamps, names, lenses)
-Quick = Odometry | Sightings | PoseEstimate | CameraInfo
-written_quickly = st.one_of(odometry, sightings, estimates)
-any_of_them = st.one_of(written_quickly, cameras)
+goals = st.builds(PoseStamped, stamps, names, poses)
+levels, told = st.integers(-128, 127), st.dictionaries(names, names, max_size=5)
+statuses = st.builds(DiagnosticStatus, levels, names, names, names, told)
+reports = st.builds(Diagnostics, stamps, st.lists(statuses, max_size=3).map(tuple))
+written_quickly = st.one_of(odometry, sightings, estimates, goals)
+any_of_them = st.one_of(written_quickly, cameras, reports)
 transforms = st.builds(Transform, stamps, names, names, poses)
 written = st.one_of(
     written_quickly,
-    st.builds(PoseStamped, stamps, names, poses),
     st.builds(Transforms, st.lists(transforms, max_size=4).map(tuple)),
 )
 
 
-def by_layout(name: str, payload: bytes) -> Quick | None:
-    if name.endswith("Odometry"):
-        return cdr_layout.odometry(payload)
-    if name == CAMERA_INFO:
-        return cdr_layout.camera_info(payload)
-    return (cdr_layout.sightings if name == SIGHTINGS else cdr_layout.pose_estimate)(payload)
+BY_LAYOUT: dict[str, Callable[[bytes], Message | None]] = {
+    ODOMETRY: cdr_layout.odometry,
+    SIGHTINGS: cdr_layout.sightings,
+    POSE_ESTIMATE: cdr_layout.pose_estimate,
+    POSE_STAMPED: cdr_layout.pose_stamped,
+    CAMERA_INFO: cdr_layout.camera_info,
+    DIAGNOSTICS: cdr_layout.diagnostics,
+}
+
+
+def by_layout(name: str, payload: bytes) -> Message | None:
+    return BY_LAYOUT[name](payload)
 
 
 def assert_same(one: object, other: object) -> None:
@@ -104,7 +119,13 @@ def assert_same(one: object, other: object) -> None:
         np.testing.assert_array_equal(one.pose.translation, other.pose.translation)
         np.testing.assert_array_equal(one.covariance, other.covariance)
         return
-    if isinstance(one, CameraInfo):
+    if isinstance(one, PoseStamped):
+        assert isinstance(other, PoseStamped)
+        assert (one.stamp_ns, one.frame_id) == (other.stamp_ns, other.frame_id)
+        np.testing.assert_allclose(one.pose.rotation, other.pose.rotation, rtol=0, atol=1e-15)
+        np.testing.assert_array_equal(one.pose.translation, other.pose.translation)
+        return
+    if isinstance(one, CameraInfo | Diagnostics):
         assert one == other
         return
     assert isinstance(one, Sightings)
@@ -120,7 +141,7 @@ def assert_same(one: object, other: object) -> None:
 
 @settings(max_examples=150)
 @given(any_of_them)
-def test_sound_message_is_read_as_by_its_definition(message: Quick) -> None:
+def test_sound_message_is_read_as_by_its_definition(message: Message) -> None:
     name, payload = type_name(message), encode(message)
     assert_same(by_layout(name, payload), decode_by_definition(name, payload))
 
@@ -139,7 +160,7 @@ def test_stamp_that_no_message_holds_is_left_to_the_definition(stamp_ns: int) ->
 @settings(max_examples=200)
 @given(any_of_them, st.data())
 def test_damaged_message_is_refused_or_read_as_by_its_definition(
-    message: Quick, data: st.DataObject
+    message: Message, data: st.DataObject
 ) -> None:
     payload = bytearray(encode(message))
     for _ in range(data.draw(st.integers(0, 3))):
@@ -196,6 +217,34 @@ def test_messages_of_one_robot_are_read_at_once_as_each(
     assert stamps_ns.tolist() == [message.stamp_ns for message in each]  # pyright: ignore[reportAttributeAccessIssue]
     expected = Pose.stack([message.pose for message in each])  # pyright: ignore[reportAttributeAccessIssue]
     assert found.rows().tobytes() == expected.rows().tobytes()
+
+
+@settings(max_examples=100)
+@given(st.lists(st.tuples(stamps, poses, covariances), min_size=1, max_size=9), names)
+def test_poses_of_many_are_read_at_once_as_each(
+    drawn: list[tuple[int, Pose, np.ndarray]], frame: str
+) -> None:
+    payloads = [encode(PoseEstimate(ns, frame, pose, known)) for ns, pose, known in drawn]
+    read = cdr_layout.pose_estimate_run(payloads)
+    assert read is not None
+    stamps_ns, found, known = read
+    each = [cdr_layout.pose_estimate(payload) for payload in payloads]
+    sound = [message for message in each if message is not None]
+    assert stamps_ns.tolist() == [message.stamp_ns for message in sound]
+    assert found.rows().tobytes() == Pose.stack([m.pose for m in sound]).rows().tobytes()
+    assert known.tobytes() == np.stack([message.covariance for message in sound]).tobytes()
+
+
+@settings(max_examples=100)
+@given(estimates, estimates, st.data())
+def test_poses_of_which_one_is_not_sound_are_left_to_each(
+    first: PoseEstimate, second: PoseEstimate, data: st.DataObject
+) -> None:
+    payloads = [encode(first), bytearray(encode(second))]
+    payloads[1][data.draw(st.integers(0, len(payloads[1]) - 1))] = data.draw(st.integers(0, 255))
+    is_sound = all(cdr_layout.pose_estimate(bytes(each)) is not None for each in payloads)
+    read = cdr_layout.pose_estimate_run([bytes(each) for each in payloads])
+    assert read is None or is_sound
 
 
 @settings(max_examples=100)

@@ -1,0 +1,93 @@
+"""From the bus to what the pages show, by a clock that is moved by hand."""
+
+import threading
+from collections.abc import Callable
+
+import numpy as np
+from support.builders import make_site
+
+from trigpoint.base.clock import ManualClock
+from trigpoint.contract import topics
+from trigpoint.contract.cdr import encode
+from trigpoint.contract.messages import Diagnostics, DiagnosticStatus, PoseEstimate
+from trigpoint.geometry import Pose
+from trigpoint.testing.memory_bus import MemoryBroker, MemoryBus
+from trigpoint.tools.board.entities import Entities
+from trigpoint.tools.board.feed import Feed
+from trigpoint.tools.board.history import History
+from trigpoint.tools.board.pictures import Pictures
+from trigpoint.tools.board.reader import Reader
+
+SITE = make_site(cameras=1, robots=3)
+_TURNS = 50
+
+
+class Steps(ManualClock):
+    """Has something said in the first turn, and stops whoever waits after some more."""
+
+    def __init__(self, say: Callable[[], None]) -> None:
+        super().__init__(10**18)
+        self._say, self._turns = say, 0
+
+    def wait(self, event: threading.Event, timeout_s: float) -> bool:
+        self._turns += 1
+        if self._turns == 1:
+            self._say()
+        if self._turns == _TURNS:
+            event.set()
+        return super().wait(event, timeout_s)
+
+
+def shown(say: Callable[[MemoryBus], None]) -> tuple[Entities, Reader]:
+    """What the pages show after two and a half seconds in which this was said."""
+    broker, feed = MemoryBroker(), Feed()
+    with broker.session() as bus, broker.session() as speaking:
+        clock = broker.clock = Steps(lambda: say(speaking))
+        pictures = Pictures(lambda: bus, SITE.name, frozenset(SITE.cameras))
+        reader = Reader(SITE, feed, History(), pictures, about={}, clock=clock)
+        reader.run(bus, threading.Event())
+    return feed.whole(), reader
+
+
+def put(bus: MemoryBus, robot: str, x: float) -> None:
+    estimate = PoseEstimate(1, "map", Pose.planar(x, 2.0, 0.5), np.eye(6) * 1e-4)
+    bus.publisher(topics.ROBOT_POSE, topics.ROBOT_POSE.key(SITE.name, robot)).put(encode(estimate))
+
+
+def test_of_each_robot_the_newest_pose_is_shown() -> None:
+    def say(bus: MemoryBus) -> None:
+        for x in (1.0, 2.0, 3.0):
+            put(bus, "r1", x)
+            put(bus, "r2", -x)
+
+    entities, _ = shown(say)
+    assert entities["robot/r1"]["at"] == [3.0, 2.0, 0.5]
+    assert entities["robot/r2"]["at"] == [-3.0, 2.0, 0.5]
+    assert "at" not in entities["robot/r3"]
+
+
+def test_a_pose_that_is_not_sound_and_a_stranger_hide_no_other_and_are_counted() -> None:
+    def say(bus: MemoryBus) -> None:
+        put(bus, "r1", 1.0)
+        put(bus, "stranger", 1.0)
+        put(bus, "r3", np.nan)
+        put(bus, "r2", 2.0)
+
+    entities, reader = shown(say)
+    assert entities["robot/r1"]["at"] == [1.0, 2.0, 0.5]
+    assert entities["robot/r2"]["at"] == [2.0, 2.0, 0.5]
+    assert "at" not in entities["robot/r3"]
+    assert "robot/stranger" not in entities
+    assert reader.health.total("rejected") == 2
+
+
+def test_whom_fusion_corrects_is_known_by_its_report() -> None:
+    def say(bus: MemoryBus) -> None:
+        values = {f"sent {topics.CORRECTION.key(SITE.name, 'r2')}.rate": "10.0"}
+        status = DiagnosticStatus(0, "fusion/fusion", "running", "lab", values)
+        report = encode(Diagnostics(1, (status,)))
+        bus.publisher(topics.DIAGNOSTICS, topics.DIAGNOSTICS.key(SITE.name)).put(report)
+
+    entities, _ = shown(say)
+    assert entities["robot/r2"]["fixed"] == 10**9
+    assert "fixed" not in entities["robot/r1"]
