@@ -10,7 +10,6 @@ from itertools import pairwise
 import numpy as np
 
 from trigpoint.geometry import Pose
-from trigpoint.geometry.pose import rows_of
 from trigpoint.geometry.rotation import Array
 
 from .graph import Graph, Layout, Place, Placed, Variant
@@ -44,8 +43,7 @@ class _Start:
             ]
             mine, theirs = np.array(kept, dtype=int).reshape(-1, 2).T
             self.poses[mine] = near.poses[theirs]
-        for camera, pose in known.items():
-            self.poses[layout.at[camera, 0]] = rows_of([pose])[0]
+        self.poses[[layout.at[camera, 0] for camera in known]] = graph.known_rows
         self.places: set[Place] = {(camera, 0) for camera in known}
         ties = self._ties()
         for robot in sorted(graph.paths, key=lambda name: not graph.paths[name].is_anchored):
