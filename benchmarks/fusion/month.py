@@ -6,12 +6,14 @@ Each day a robot is switched on at the same place, its odometry anew, and drives
 cameras with 1 sighting a second and odometry at 20 Hz; at night nothing comes. It is fed as `load`
 feeds a day; memory and checkpoint are the most of a day, by what is resident every 30 s (of the
 estimator's, some 60 MB are eight hours' drawn poses). A solution is the solver's processor time of
-the day by the number of its solutions, and an error that of a camera's position, in units of its
-covariance (3 is what is to be expected).
+the day by the number of its solutions, a start its work until it has read the checkpoint as it is
+at the day's end, and an error that of the cameras' positions; its squares by their covariances and
+their number, 1 is to be expected.
 """
 
 from contextlib import closing
 from pathlib import Path
+from shutil import copytree
 from tempfile import TemporaryDirectory
 from typing import Annotated
 
@@ -27,6 +29,7 @@ from trigpoint.fusion.live.solver_process import SolverProcess
 
 from .corridor import Corridor
 from .load import Drive, Load, turns
+from .restart import read_s
 
 _CAMERAS, _PICTURES_HZ = 30, 20.0 / 14  # of which 0.7 see the robot
 _DAY_NS, _SAMPLE_NS = to_ns(24 * 3600.0), to_ns(30.0)
@@ -44,16 +47,19 @@ class Day(Struct, frozen=True):
     thread_s: float
     solution_s: float
     pasts: int
+    start_s: float
     located: int
-    errors: float
+    error_mm: float
+    by_covariance: float
 
     def __str__(self) -> str:
         return (
             f"day {self.number}: {self.sightings} sightings; "
             f"{self.estimator_mb:.0f} + {self.solver_mb:.0f} MB, checkpoint "
             f"{self.checkpoint_mb:.1f} MB; {self.solutions} solutions of {self.solution_s:.2f} s, "
-            f"thread {self.thread_s:.0f} s; {self.pasts} summaries; {self.located} located, "
-            f"χ² of positions {self.errors:.2f}"
+            f"thread {self.thread_s:.0f} s; {self.pasts} summaries; a start {self.start_s:.2f} s; "
+            f"{self.located} located, off by {self.error_mm:.1f} mm, squares by covariance "
+            f"{self.by_covariance:.2f}"
         )
 
 
@@ -72,6 +78,9 @@ def main(
             ("its solver's", "MB", "solver_mb"),
             ("the checkpoint", "MB", "checkpoint_mb"),
             ("a solution", "s", "solution_s"),
+            ("a start", "s", "start_s"),
+            ("error of a position", "mm", "error_mm"),
+            ("squared errors by covariance", "1", "by_covariance"),
         )
     ]
 
@@ -85,12 +94,12 @@ def _driven(days: int, hours: float) -> list[Day]:
             TemporaryDirectory() as folder,
             closing(Drive(Load(corridor), solver, Path(folder))) as drive,
         ):
-            return [_day(drive, corridor, number, solutions) for number in range(days)]
+            return [_day(drive, corridor, number, solutions, folder) for number in range(days)]
     finally:
         solver.close()
 
 
-def _day(drive: Drive, corridor: Corridor, number: int, solutions: list[float]) -> Day:
+def _day(drive: Drive, corridor: Corridor, number: int, solutions: list[float], folder: str) -> Day:
     drive.begin()
     solutions.clear()
     past, pasts, due_ns, stored_mb = drive.pipeline.past, 0, 0, [drive.stored_mb()]
@@ -104,6 +113,7 @@ def _day(drive: Drive, corridor: Corridor, number: int, solutions: list[float]) 
             stored_mb.append(drive.stored_mb())
             due_ns = now_ns + _SAMPLE_NS
     estimator_mb, solver_mb = map(max, zip(*drive.span.memory, strict=True))
+    located, error_mm, by_covariance = _errors(drive, corridor)
     day = Day(
         number=number + 1,
         sightings=drive.span.sightings,
@@ -114,15 +124,25 @@ def _day(drive: Drive, corridor: Corridor, number: int, solutions: list[float]) 
         thread_s=drive.span.spent_s,
         solution_s=drive.solver_s() / max(len(solutions), 1),
         pasts=pasts,
-        located=drive.pipeline.located_count,
-        errors=_squared_error(drive, corridor),
+        start_s=_start_s(corridor, folder),
+        located=located,
+        error_mm=error_mm,
+        by_covariance=by_covariance,
     )
     typer.echo(str(day), err=True)
     return day
 
 
-def _squared_error(drive: Drive, corridor: Corridor) -> float:
-    """The mean of the located cameras' squared errors of position by their covariances."""
+def _start_s(corridor: Corridor, folder: str) -> float:
+    """The work of a start until it has read a copy of the checkpoint."""
+    with TemporaryDirectory() as other:
+        copied = copytree(folder, Path(other) / "map")
+        return in_new_process(read_s, corridor, copied)
+
+
+def _errors(drive: Drive, corridor: Corridor) -> tuple[int, float, float]:
+    """How many cameras are located, by how much their positions are off, mm, and the mean of the
+    squares of that by covariance and number."""
     found, cameras = [], drive.pipeline.results().network.cameras
     for index in range(corridor.cameras):
         camera = cameras[f"c{index}"]
@@ -130,5 +150,8 @@ def _squared_error(drive: Drive, corridor: Corridor) -> float:
             truth = corridor.camera(index).translation
             error = camera.map_from_camera.pose.translation - truth
             spread = camera.covariance_matrix[:3, :3]
-            found.append(float(error @ np.linalg.solve(spread, error)))
-    return float(np.mean(found)) if found else float("nan")
+            found.append((error @ error, error @ np.linalg.solve(spread, error) / 3))
+    if not found:
+        return 0, float("nan"), float("nan")
+    squared, by_covariance = np.mean(found, axis=0).tolist()
+    return len(found), 1e3 * squared**0.5, by_covariance
