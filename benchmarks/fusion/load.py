@@ -121,7 +121,7 @@ def _driven(name: str, load: Load, tells: bool) -> list[Row]:
 
 
 class Drive:
-    """Feeds a pipeline, and notes what its turns take."""
+    """Feeds a pipeline, and notes what its turns take. `folder`: of the checkpoint."""
 
     def __init__(
         self, load: Load, solver: SolverProcess, folder: Path, *, tells: bool = False
@@ -129,7 +129,7 @@ class Drive:
         self._load, self._solver, self._tells = load, solver, tells
         inputs = load.corridor.inputs
         self._site = inputs.site.name
-        self._folder = folder
+        self.folder = folder
         self._storage = MapStorage(folder, inputs.site, SystemClock(), knows=lambda _: True)
         self.pipeline = Pipeline(inputs, is_live=False, solver=solver)
         self.pipeline.resumed(is_new=True)
@@ -266,7 +266,7 @@ class Drive:
 
     def stored_mb(self) -> float:
         """Of all files of the map."""
-        return sum(path.stat().st_size for path in self._folder.glob("*.bin")) / 1e6
+        return sum(path.stat().st_size for path in self.folder.glob("*.bin")) / 1e6
 
 
 def turns(corridor: Corridor, *, seed: int = 0, later_ns: int = 0) -> Iterator[tuple[int, Turn]]:

@@ -1,14 +1,14 @@
 """Live fusion day after day: what grows with the age of a map?
 
-    python -m benchmarks month [--days D] [--hours H]
+    python -m benchmarks month [--days D] [--hours H] [--every S]
 
 Each day a robot is switched on at the same place, its odometry anew, and drives H hours past thirty
 cameras with 1 sighting a second and odometry at 20 Hz; at night nothing comes. It is fed as `load`
-feeds a day; memory and checkpoint are the most of a day, by what is resident every 30 s (of the
-estimator's, some 60 MB are eight hours' drawn poses). A solution is the solver's processor time of
-the day by the number of its solutions, a start its work until it has read the checkpoint as it is
-at the day's end, and an error that of the cameras' positions; its squares by their covariances and
-their number, 1 is to be expected.
+feeds a day, and the solver is waited for every S seconds of it. Memory and checkpoint are the most
+of a day at these moments, by what is resident (of the estimator's, some 60 MB are eight hours'
+drawn poses). A solution is the solver's processor time of the day by the number of its solutions, a
+start its work until it has read the checkpoint as it is at the day's end, and an error that of the
+cameras' positions; of its squares by their covariances, a number, 1 is to be expected.
 """
 
 from contextlib import closing
@@ -32,7 +32,7 @@ from .load import Drive, Load, turns
 from .restart import read_s
 
 _CAMERAS, _PICTURES_HZ = 30, 20.0 / 14  # of which 0.7 see the robot
-_DAY_NS, _SAMPLE_NS = to_ns(24 * 3600.0), to_ns(30.0)
+_DAY_NS = to_ns(24 * 3600.0)
 
 
 class Day(Struct, frozen=True):
@@ -66,9 +66,10 @@ class Day(Struct, frozen=True):
 def main(
     days: Annotated[int, typer.Option(help="How many.")] = 30,
     hours: Annotated[float, typer.Option(help="Of driving a day.")] = 8.0,
+    every: Annotated[float, typer.Option(help="Seconds of it until the solver is heard.")] = 30.0,
 ) -> list[Row]:
     """Drive for days, and say what each came to."""
-    found = in_new_process(_driven, days, hours)
+    found = in_new_process(_driven, days, hours, to_ns(every))
     second, last = found[min(1, len(found) - 1)], found[-1]
     what, against = f"day {last.number}", f"day {second.number}"
     return [
@@ -85,7 +86,7 @@ def main(
     ]
 
 
-def _driven(days: int, hours: float) -> list[Day]:
+def _driven(days: int, hours: float, every_ns: int) -> list[Day]:
     return_large_arrays()  # as the command does it
     corridor, solutions = Corridor(_CAMERAS, 3600 * hours, pictures_hz=_PICTURES_HZ), list[float]()
     solver = SolverProcess(corridor.inputs.data_set(), took=solutions.append)
@@ -94,12 +95,14 @@ def _driven(days: int, hours: float) -> list[Day]:
             TemporaryDirectory() as folder,
             closing(Drive(Load(corridor), solver, Path(folder))) as drive,
         ):
-            return [_day(drive, corridor, number, solutions, folder) for number in range(days)]
+            return [_day(drive, corridor, number, solutions, every_ns) for number in range(days)]
     finally:
         solver.close()
 
 
-def _day(drive: Drive, corridor: Corridor, number: int, solutions: list[float], folder: str) -> Day:
+def _day(
+    drive: Drive, corridor: Corridor, number: int, solutions: list[float], every_ns: int
+) -> Day:
     drive.begin()
     solutions.clear()
     past, pasts, due_ns, stored_mb = drive.pipeline.past, 0, 0, [drive.stored_mb()]
@@ -111,7 +114,7 @@ def _day(drive: Drive, corridor: Corridor, number: int, solutions: list[float], 
             drive.listen()
             drive.span.memory.append(drive.memory_mb())
             stored_mb.append(drive.stored_mb())
-            due_ns = now_ns + _SAMPLE_NS
+            due_ns = now_ns + every_ns
     estimator_mb, solver_mb = map(max, zip(*drive.span.memory, strict=True))
     located, error_mm, by_covariance = _errors(drive, corridor)
     day = Day(
@@ -124,7 +127,7 @@ def _day(drive: Drive, corridor: Corridor, number: int, solutions: list[float], 
         thread_s=drive.span.spent_s,
         solution_s=drive.solver_s() / max(len(solutions), 1),
         pasts=pasts,
-        start_s=_start_s(corridor, folder),
+        start_s=_start_s(corridor, drive.folder),
         located=located,
         error_mm=error_mm,
         by_covariance=by_covariance,
@@ -133,7 +136,7 @@ def _day(drive: Drive, corridor: Corridor, number: int, solutions: list[float], 
     return day
 
 
-def _start_s(corridor: Corridor, folder: str) -> float:
+def _start_s(corridor: Corridor, folder: Path) -> float:
     """The work of a start until it has read a copy of the checkpoint."""
     with TemporaryDirectory() as other:
         copied = copytree(folder, Path(other) / "map")
