@@ -12,14 +12,16 @@ Times are the processor's.
 
 In `month` a robot is switched on each day at the same place, its odometry anew; at night nothing
 comes. Memory and checkpoint are then the most of a day (of the estimator's, some 60 MB are eight
-hours' drawn poses), a solution is the solver's time of the day by the number of its solutions, and
-χ² is that of a camera's position by its covariance (3 is what is to be expected).
+hours' drawn poses), a solution is the solver's time of the day by the number of its solutions, a
+start a node's work until it has read the checkpoint of the day's end, and an error that of the
+cameras' positions; of its squares by their covariances, a number, 1 is to be expected.
 """
 
 import time
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
+from shutil import copytree
 from tempfile import TemporaryDirectory
 from typing import Annotated
 
@@ -41,6 +43,7 @@ from trigpoint.fusion.pipeline import Pipeline
 from trigpoint.tools.simulation.session import EPOCH_NS
 
 from .corridor import Corridor
+from .restart import read_s
 
 _TURN_NS, _DAY_NS = to_ns(0.02), to_ns(24 * 3600.0)
 _TELL_S = 30.0
@@ -97,6 +100,22 @@ class Span(Struct):
         )
 
 
+class Day(Struct, frozen=True):
+    """A day, and what its end came to: a start from its checkpoint, s, and the located cameras'
+    error of position, mm, and mean of its squares by covariance and number."""
+
+    span: Span
+    start_s: float
+    error_mm: float
+    squared: float
+
+    def __str__(self) -> str:
+        return (
+            f"{self.span}; a start {self.start_s:.1f} s; off by {self.error_mm:.1f} mm, squares by "
+            f"covariance {self.squared:.2f}"
+        )
+
+
 def run(effort: float = 1.0) -> list[Row]:
     """Two laps of a few cameras; the longer loads are runs of their own."""
     return in_new_process(_driven, "short", replace(LOADS["short"], duration_s=180 * effort), 1)
@@ -147,15 +166,17 @@ class Drive:
                 self._pause(tells=tells)
                 told_s = 0.0 if tells else -np.inf
 
-    def day(self, number: int) -> tuple[Span, float]:
-        """Another day, and χ² at its end."""
+    def day(self, number: int) -> Day:
+        """Another day."""
         self.span = self._begun()
         self.go(turns(self._corridor, seed=number, later_ns=number * _DAY_NS))
         self._end(self.span)
-        squared = self._squared_error()
-        located = f"{self.pipeline.located_count} located, χ² of positions {squared:.2f}"
-        typer.echo(f"day {number + 1}: {self.span}; {located}", err=True)
-        return self.span, squared
+        with TemporaryDirectory() as other:
+            copied = copytree(self._folder, Path(other) / "map")
+            start_s = in_new_process(read_s, self._corridor, copied)
+        day = Day(self.span, start_s, *self._errors())
+        typer.echo(f"day {number + 1}: {day}; {self.pipeline.located_count} located", err=True)
+        return day
 
     def close(self) -> None:
         """End the checkpoint."""
@@ -241,32 +262,38 @@ class Drive:
         stored = sum(path.stat().st_size for path in self._folder.glob("*.bin")) / 1e6
         return resident_mb("self"), resident_mb(self._solver.pid), stored
 
-    def _squared_error(self) -> float:
-        """The mean of the located cameras' squared errors of position by their covariances."""
-        found, cameras = [], self.pipeline.results().network.cameras
+    def _errors(self) -> tuple[float, float]:
+        """The located cameras' error of position, mm, and its squares by covariance and number."""
+        found, cameras = [(np.nan, np.nan)], self.pipeline.results().network.cameras
         for index in range(self._corridor.cameras):
             camera = cameras[f"c{index}"]
             if camera.map_from_camera is not None:
                 truth = self._corridor.camera(index).translation
                 error = camera.map_from_camera.pose.translation - truth
                 spread = camera.covariance_matrix[:3, :3]
-                found.append(float(error @ np.linalg.solve(spread, error)))
-        return float(np.mean(found)) if found else float("nan")
+                found.append((error @ error, error @ np.linalg.solve(spread, error) / 3))
+        squared, by_covariance = np.mean(found[1:] or found, axis=0).tolist()
+        return 1e3 * squared**0.5, by_covariance
 
 
-def _daily_rows(name: str, days: list[tuple[Span, float]]) -> list[Row]:
+def _daily_rows(name: str, days: list[Day]) -> list[Row]:
     """The last day beside the second."""
-    told = [
-        (*np.max(day.memory, axis=0).tolist(), day.solver_s / max(day.solutions, 1), squared)
-        for day, squared in days
-    ]
     names = (
         *(("the estimator's memory", "MB"), ("its solver's", "MB"), ("the checkpoint", "MB")),
-        *(("a solution", "s"), ("χ² of positions", "1")),
+        *(("a solution", "s"), ("a start", "s"), ("error of a position", "mm")),
+        ("squared errors by covariance", "1"),
+    )
+    second, last = (
+        (
+            *np.max(day.span.memory, axis=0).tolist(),
+            day.span.solver_s / max(day.span.solutions, 1),
+            *(day.start_s, day.error_mm, day.squared),
+        )
+        for day in (days[1], days[-1])
     )
     return [
-        Row("load", f"{name}, day {len(days)}, {what}", unit, last, second, "day 2")
-        for (what, unit), last, second in zip(names, told[-1], told[1], strict=True)
+        Row("load", f"{name}, day {len(days)}, {what}", unit, ours, before, "day 2")
+        for (what, unit), ours, before in zip(names, last, second, strict=True)
     ]
 
 

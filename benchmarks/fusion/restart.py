@@ -73,6 +73,23 @@ def _stored(corridor: Corridor, folder: Path) -> int:
     return sum(1 for path in files for _ in read_checkpoint(path))
 
 
+def read_s(corridor: Corridor, folder: Path) -> float:
+    """The work of a node that is started on a checkpoint until it has read it, s; it solves
+    nothing, and leaves nothing but what it would write at a stop."""
+    inputs, broker = corridor.inputs, MemoryBroker()
+    with (
+        broker.session() as bus,
+        Node(bus, site=inputs.site.name, kind="fusion", name="fusion") as node,
+    ):
+        fusion = FusionNode(bus, node, inputs, folder, SystemClock(), solver=_solver)
+        began_s = time.process_time()
+        fusion.start()
+        _wait(lambda: fusion.is_resumed)
+        work_s = time.process_time() - began_s
+    fusion.finish()
+    return work_s
+
+
 def _started(corridor: Corridor, folder: Path) -> tuple[float, float, float, float]:
     """Start a node on a checkpoint and stop it once all is solved: work until it was read, s, and
     after how long it was read, its cameras were known and its solver had answered, s."""

@@ -94,7 +94,8 @@ class Variant(Struct, frozen=True):
 
 class Graph:
     """What the pose graphs of all explanations of one session's visits are made of; `minimum`
-    solves them. `odometry` (n, 12): all robots' nodes by odometry alone."""
+    solves them. `odometry` (n, 12): all robots' nodes by odometry alone; `known_rows` (n, 12),
+    `known_information` (n, 6, 6): of each camera that is known from before, by itself."""
 
     def __init__(self, data: DataSet, visits: list[VisitModes], events: Events) -> None:
         self.data, self.visits, self.events = data, visits, events
@@ -112,7 +113,11 @@ class Graph:
         self._begin_at: dict[tuple[str, int], list[int]] = {}
         for number, (found, node) in enumerate(zip(visits, self.node_of, strict=True)):
             self._begin_at.setdefault((found.visit.robot, node), []).append(number)
-        self._known_covariance = data.known_at_start.covariance
+        known = data.known_at_start
+        self.known_rows = rows_of(known.poses.values())
+        own = [slice(6 * n, 6 * n + 6) for n in range(len(known.poses))]
+        marginals = np.array([known.covariance[part, part] for part in own]).reshape(-1, 6, 6)
+        self.known_information = np.linalg.inv(marginals)
         self._across: dict[Break, list[VisualStep]] = {}
         self._clocks = [_clock(data, v) for v in visits]
         self._visual = self._visual_steps()
@@ -249,11 +254,6 @@ class Graph:
     def evidence(self, number: int) -> Array:
         """Return the evidence (k,) of each mode of a visit (`Mode.evidence`)."""
         return self._evidence[number]
-
-    def known_information(self, order: int) -> Array:
-        """Return the marginal information (6, 6) of one camera that is known from before."""
-        part = slice(6 * order, 6 * order + 6)
-        return np.linalg.inv(self._known_covariance[part, part])
 
     def room(self, path: RobotPath) -> Array:
         """Return the prior variances (d,) of where a robot may be put down in the room."""

@@ -35,6 +35,13 @@ class Hypothesis(Struct, frozen=True):
         return {n: tie.place for n, tie in self.ties.items()} | self.open
 
     @property
+    def later_places(self) -> list[tuple[int, int]]:
+        """The number of each visit that is right after its camera was moved, and its place: hardly
+        any of them all."""
+        tied = [(n, tie.place) for n, tie in self.ties.items() if tie.place]
+        return tied + [(n, place) for n, place in self.open.items() if place]
+
+    @property
     def happening(self) -> object:
         """What happened: the visits' places, which visits are wrong, and which robots were lifted.
         Modes and gaps do not count, since other gaps are tried in the end."""

@@ -5,7 +5,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from trigpoint.geometry.pose import rows_of
 from trigpoint.geometry.rotation import Array
 from trigpoint.native.library import In, Kernel, Out
 
@@ -28,7 +27,7 @@ def initial_poses(
     `ends` (k, 4): of each tie, in order of its visit, first the two poses that it ties; `seen`
     (k, 12): the second, as seen from the first.
     """
-    near, known = variant.near, graph.data.known.poses
+    near = variant.near
     poses = np.concatenate([graph.odometry, np.zeros((len(layout.at), 12))])
     begun, settled = np.zeros((len(poses), 2), _WHOLE), {}
     if near is not None:
@@ -42,9 +41,8 @@ def initial_poses(
             for place in layout.at.keys() & near.layout.at.keys():
                 poses[layout.at[place]] = near.poses[near.layout.at[place]]
                 begun[layout.at[place], 1] = 1
-    for camera, pose in known.items():
-        poses[layout.at[camera, 0]] = rows_of([pose])[0]
-        begun[layout.at[camera, 0], 0] = 1
+    known = [layout.at[camera, 0] for camera in graph.data.known.poses]
+    poses[known], begun[known, 0] = graph.known_rows, 1
     is_new = [settled.get(number) != tie for number, tie in sorted(variant.ties.items())]
     START(poses, begun, _parts(graph, layout, variant), ends, seen, np.array(is_new, _WHOLE))
     return poses

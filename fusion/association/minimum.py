@@ -245,12 +245,9 @@ class Minima:
             which.append(layout.first[robot])
             expected.append(path.odometry[0])
             information.append(in_all_axes(np.diag(1 / variance), path.tangent))
-        for order, (name, pose) in enumerate(graph.data.known.poses.items()):
-            which.append(layout.at[name, 0])
-            expected.append(pose)
-            information.append(graph.known_information(order))
+        which += [layout.at[name, 0] for name in graph.data.known.poses]
         return (
             np.array(which, dtype=_WHOLE),
-            rows_of(expected),
-            np.array(information).reshape(-1, 6, 6),
+            np.concatenate([rows_of(expected), graph.known_rows]),
+            np.concatenate([np.array(information).reshape(-1, 6, 6), graph.known_information]),
         )

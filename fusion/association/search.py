@@ -160,7 +160,7 @@ class Search:
     def happened(self, hypothesis: Hypothesis) -> int:
         """Return the number of lifts and moves in a hypothesis, but for moves that were told."""
         last: dict[str, int] = {}
-        for number, place in hypothesis.places.items():
+        for number, place in hypothesis.later_places:
             camera = self.visits[number].visit.camera
             last[camera] = max(last.get(camera, 0), place)
         return len(hypothesis.breaks) + sum(last.values()) - self.told.count_in(hypothesis)

@@ -82,6 +82,18 @@ class World:
     def _cameras(self) -> set[str]:
         return {v.visit.camera for v in self.visits}
 
+    def _settled_cameras(self) -> set[str]:
+        """The cameras that the past knows and that all their visits tie to where it does, in the
+        best explanation. Where else these could be was asked when the past was made of what they
+        saw; that they were moved since then, the search asks at each of their visits."""
+        past, ties = self.data.past, self.hypotheses[0].ties
+        settled = set(past.known.poses) if past is not None else set[str]()
+        return settled - {
+            v.visit.camera
+            for number, v in enumerate(self.visits)
+            if number not in ties or ties[number].place
+        }
+
     def _searched(self, known: Trail | None, *, wrong: int | None = None) -> list[Hypothesis]:
         """Search the explanations of all visits, from where the search that left the trail `known`
         was the same, and leave the trail of this world; where one visit is taken to be `wrong`,
@@ -127,13 +139,13 @@ class World:
         self.hypotheses = [each for each in every if each.score <= every[0].score + _COUNTS]
 
     def _verify_cameras(self) -> None:
-        """For each camera of the best explanation, search everything else that its visits may be.
-        If the budget does not suffice, all cameras not verified yet are undecided, those with only
-        one visit included."""
+        """For each camera of the best explanation that is not settled, search everything else that
+        its visits may be. If the budget does not suffice, all cameras not verified yet are
+        undecided, those with only one visit included."""
         best = self.hypotheses[0]
+        verified = self._settled_cameras()
         cameras = dict.fromkeys(v.visit.camera for v in self.visits)
-        verified = set[str]()
-        for camera in cameras:
+        for camera in [name for name in cameras if name not in verified]:
             mine = [n for n, v in enumerate(self.visits) if v.visit.camera == camera]
             if len(mine) < 2:
                 continue

@@ -25,6 +25,7 @@ from trigpoint.fusion.solver.equations import covariance_of
 from trigpoint.fusion.solver.filter import Filter
 from trigpoint.fusion.solver.levenberg_marquardt import linearise
 
+_OPEN_GROWTH = 3.0
 # Of each robot so many sightings stay.
 _LEAST_OF_A_ROBOT = 20
 _MOST_EARLIER = 64
@@ -33,19 +34,20 @@ _PATH_STEP_NS = NANOSECONDS // 10
 
 
 class Limits(Struct, frozen=True):
-    """How much is kept at least, of which twice as much may come before the rest is summarised,
-    and three times as much while something is open: sightings, times that a robot came before a
-    camera (on whose number the time of a solution depends most), and messages of odometry. `paths`:
-    whether the robots' paths are kept all the same."""
+    """How much is kept at least: sightings, times that a robot came before a camera (on whose
+    number the time of a solution depends most), and messages of odometry. `growth`: as many times
+    as much may come before the rest is summarised, and `_OPEN_GROWTH` times while something is
+    open; `paths`: whether the robots' paths are kept all the same."""
 
     sightings: int
     odometry: int = 200_000
     visits: int = 1_000
+    growth: float = 2.0
     paths: bool = False
 
     def is_reached(self, data: DataSet, *, is_open: bool) -> bool:
         """Whether a part of the data is to be summarised."""
-        times = 3 if is_open else 2
+        times = _OPEN_GROWTH if is_open else self.growth
         messages = sum(len(track) for track in data.tracks.values())
         return (
             len(data.entries) > times * self.sightings
@@ -74,7 +76,7 @@ class Limits(Struct, frozen=True):
         return since_ns
 
 
-LIVE = Limits(1_500, visits=120)
+LIVE = Limits(1_500, visits=120, growth=1.5)
 OF_A_SESSION = Limits(10_000, 600_000, paths=True)
 """Of a recording, which is explained as a whole as long as a machine can bear."""
 

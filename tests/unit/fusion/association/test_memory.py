@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from support.oracle.sessions import Shape, data_of
 
 from trigpoint.fusion.association.budget import Budget
@@ -9,7 +10,9 @@ from trigpoint.fusion.association.engine import explain
 from trigpoint.fusion.association.explanation import Explanation
 from trigpoint.fusion.association.memory import Memory
 from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.known_cameras import KnownCameras
 from trigpoint.fusion.model.observations import Observation
+from trigpoint.fusion.model.past import Past
 
 
 @pytest.fixture(scope="module")
@@ -48,6 +51,29 @@ def test_nothing_new_is_explained_by_what_is_known(
     _, first = spent(*came, memory)
     _, second = spent(*came, memory)
     assert second < 0.3 * first
+
+
+def test_cameras_that_the_past_knows_are_not_asked_for_again(
+    came: tuple[DataSet, list[Observation]],
+) -> None:
+    """Where else they may be was asked when the past was made."""
+    data, observations = came
+    before, _ = spent(data, observations, Memory())
+    places = {name: finding.alternatives[0] for name, finding in before.findings.items()}
+    information = np.zeros((6 * len(places),) * 2)
+    for row, place in enumerate(places.values()):
+        own = slice(6 * row, 6 * row + 6)
+        information[own, own] = np.linalg.inv(place.covariance)
+    poses = {name: place.map_from_camera for name, place in places.items()}
+    known = KnownCameras(poses, information)
+    given = replace(data, known=known)
+    settled = replace(given, past=Past(known, {}, None, data.epoch_ns, {}))
+    of_given, work = spent(given, observations, Memory())
+    of_settled, less = spent(settled, observations, Memory())
+    assert less < 0.9 * work
+    assert [read.readings for read in of_settled.reads] == [r.readings for r in of_given.reads]
+    assert all(finding.is_located for finding in of_given.findings.values())
+    assert all(finding.is_located for finding in of_settled.findings.values())
 
 
 @pytest.mark.parametrize(

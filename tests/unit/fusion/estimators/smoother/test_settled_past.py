@@ -112,6 +112,13 @@ def test_what_is_open_is_given_more_time(count: int, is_open: bool, is_reached: 
     assert Limits(sightings=100).is_reached(data, is_open=is_open) == is_reached
 
 
+def test_what_is_settled_is_summarised_as_soon_as_the_limits_say() -> None:
+    data = data_of({"r1": range(100, 251), "r2": range(0)})
+    assert Limits(sightings=100, growth=1.5).is_reached(data, is_open=False)
+    assert not Limits(sightings=100, growth=1.5).is_reached(data, is_open=True)
+    assert not Limits(sightings=100).is_reached(data, is_open=False)
+
+
 @pytest.mark.parametrize(("paths", "is_much"), [(False, True), (True, False)])
 def test_a_recording_of_robots_that_look_alike_is_kept_whole(paths: bool, is_much: bool) -> None:
     data = data_of({"r1": range(100, 400), "r2": range(0)})
