@@ -164,7 +164,7 @@ class Drive:
             self._take(now_ns, turn)
             if self._now_s - told_s >= _TELL_S:
                 self._pause(tells=tells)
-                told_s = 0.0 if tells else -np.inf
+                told_s = self._now_s
 
     def day(self, number: int) -> Day:
         """Another day."""

@@ -36,9 +36,9 @@ class PlanarFit(Struct, frozen=True, eq=False):
 
     @property
     def homography(self) -> Array:
-        """(3, 3), face to undistorted pixels taken from the lens's centre in units of `scale`; its
-        first two columns together have length 1, which stays so while a face moves without turning,
-        and points are in front of the camera."""
+        """(3, 3), face to undistorted pixels taken from the lens's centre in units of `scale`, with
+        what was fitted in front of the camera. The core makes its first two columns together of
+        length 1, which stays so while a face moves without turning."""
         return self.packed[:9].reshape(3, 3)
 
     @property

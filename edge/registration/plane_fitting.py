@@ -15,7 +15,6 @@ _FIT, _POINTS = In(np.float64, (FIT,)), In(np.float64, ("n", 2))
 _FOUND = Out(np.float64, (FIT,))
 _FIT_PLANE = Kernel("tp_fit_plane", _POINTS, _POINTS, _FIT, int, int, _FOUND)
 _SETTLED = Kernel("tp_settled_fit", _POINTS, _POINTS, _FIT, int, float, _FOUND)
-_SCATTER = Kernel("tp_scatter", _FIT, _POINTS, _POINTS, Out(np.float64, (1,)))
 
 
 def fit_plane(
@@ -51,15 +50,6 @@ def settled_fit(
     ends = np.ascontiguousarray(points, float), np.ascontiguousarray(pixels, float)
     is_found = _SETTLED(*ends, start_of(size, start), start is not None, enough_px, found)
     return PlanarFit(found) if is_found else None
-
-
-def scatter_about(fit: PlanarFit, points: Array, pixels: Array) -> tuple[float, int]:
-    """How far pixels (n, 2) of face points (n, 2) scatter: the sum of squares, pixel², of what no
-    homography and no lens near the fit explains of them, and its freedom; 0 for n < 6."""
-    squares = np.zeros(1)
-    ends = np.ascontiguousarray(points, float), np.ascontiguousarray(pixels, float)
-    freedom = _SCATTER(fit.packed, *ends, squares)
-    return float(squares[0]), freedom
 
 
 def start_of(size: tuple[int, int], start: PlanarFit | None) -> Array:

@@ -8,8 +8,10 @@ import numpy as np
 from trigpoint.geometry.rotation import Array
 from trigpoint.native.library import In, Kernel, Out
 
-from .graph import Graph, Layout, Variant
+from .graph import Graph, Layout, Tie, Variant
 
+Ties = list[tuple[int, Tie]]
+"""Visits, in order, and what is used of each."""
 _REAL, _WHOLE = np.float64, np.int64
 START = Kernel(
     "tp_graph_start",
@@ -19,13 +21,13 @@ START = Kernel(
 
 
 def initial_poses(
-    graph: Graph, layout: Layout, variant: Variant, ends: np.ndarray, seen: Array
+    graph: Graph, layout: Layout, variant: Variant, ties: Ties, ends: np.ndarray, seen: Array
 ) -> Array:
     """Return the initial poses (n, 12) of a layout: as in the graph that the variant is near, or
     else by odometry, with the parts that new ties constrain moved to their first ones.
 
-    `ends` (k, 4): of each tie, in order of its visit, first the two poses that it ties; `seen`
-    (k, 12): the second, as seen from the first.
+    `ties`: the variant's (k); `ends` (k, 4): first the two poses that each ties; `seen` (k, 12):
+    the second, as seen from the first.
     """
     near = variant.near
     poses = np.concatenate([graph.odometry, np.zeros((len(layout.at), 12))])
@@ -43,7 +45,7 @@ def initial_poses(
                 begun[layout.at[place], 1] = 1
     known = [layout.at[camera, 0] for camera in graph.data.known.poses]
     poses[known], begun[known, 0] = graph.known_rows, 1
-    is_new = [settled.get(number) != tie for number, tie in sorted(variant.ties.items())]
+    is_new = [settled.get(number) != tie for number, tie in ties]
     START(poses, begun, _parts(graph, layout, variant), ends, seen, np.array(is_new, _WHOLE))
     return poses
 

@@ -118,7 +118,7 @@ class Minima:
                 ends[order, 2:] = own.start, own.stop - own.start
                 values[own] = self._own[modes[order], : own.stop - own.start]
         said = ends, self._seen[modes], self._information[modes], self._own[modes]
-        poses = initial_poses(graph, layout, variant, *said[:2])
+        poses = initial_poses(graph, layout, variant, ties, *said[:2])
         factor, score, ways = Factor(), np.empty(2), list[_Way]()
         steps = self._steps(layout, values)
         for _ in range(_MOST_SCALES):

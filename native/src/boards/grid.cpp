@@ -32,6 +32,11 @@ public:
     struct Near {
         float squared, x, y;
         int corner;
+
+        // Of two that are as near, the one with the lower number, whoever sorts them.
+        bool operator<(const Near& other) const {
+            return std::tie(squared, corner) < std::tie(other.squared, other.corner);
+        }
     };
 
     explicit Cells(const std::vector<Saddle>& saddles)
@@ -76,7 +81,7 @@ public:
             for (int y = top; y <= bottom; ++y)
                 held += static_cast<std::size_t>(first_[y * columns_ + to + 1] -
                                                  first_[y * columns_ + from]);
-            // Three quarters of the cells' corners are near enough.
+            // Not all of the cells' corners are near enough.
             if (3 * held < 4 * NEAREST && reach < whole) continue;
             Near* end = found_.data();
             for (int y = top; y <= bottom; ++y) {
@@ -91,9 +96,7 @@ public:
             if (count < NEAREST && reach < whole) continue;
             if (count > NEAREST) {
                 end = found_.data() + NEAREST;
-                std::nth_element(
-                    found_.data(), end, found_.data() + count,
-                    [](const Near& a, const Near& b) { return a.squared < b.squared; });
+                std::nth_element(found_.data(), end, found_.data() + count);
             }
             return {found_.data(), end};
         }
@@ -145,15 +148,14 @@ std::vector<Links> chosen(const std::vector<Saddle>& saddles) {
     std::vector<Links> links(saddles.size());
     for (std::size_t i = 0; i < saddles.size(); ++i) {
         const auto about = cells.about(static_cast<int>(i), saddles[i].pixel);
-        std::array<float, 4> least;
-        least.fill(INFINITY);
+        std::array<const Cells::Near*, 4> nearest{};
         for (const auto& near : about) {
             const int ahead = direction_towards(axes[i], near.x, near.y, near.squared);
-            if (ahead < 0 || near.squared >= least[ahead]) continue;
+            if (ahead < 0 || (nearest[ahead] && *nearest[ahead] < near)) continue;
             const int behind = direction_towards(axes[near.corner], -near.x, -near.y, near.squared);
             if (behind < 0 || (ahead + behind) % 2 == 0) continue;
             links[i][ahead] = {near.corner, behind};
-            least[ahead] = near.squared;
+            nearest[ahead] = &near;
         }
     }
     return links;

@@ -12,8 +12,8 @@ constexpr double LEAST_GAUSSIAN = 0.2;
 constexpr double MOST_RESPONSE = 1.0;
 // How far one change is trusted.
 const Eigen::Vector4d MOST_CHANGE(1.0, 1.0, 1.0, 0.5);
-// Of a kernel's shares, which together are 1, what its products may leave: a tenth of a grey
-// level in a hundred.
+// Of a kernel's shares, which together are 1, what the products of its even part and those of its
+// odd part may leave: a tenth of a grey level in a hundred each.
 constexpr double LEFT_OVER = 1e-3;
 // Of a kernel, in its standard deviations.
 constexpr double REACH_SIGMAS = 2.6;
@@ -39,7 +39,8 @@ using Shares = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowM
 // left, about the largest (Bebendorf 2000), which are even or odd where that is.
 void add_crosses(Shares left, Kernel& kernel) {
     Eigen::Index y, x;
-    while (left.cwiseAbs().sum() > LEFT_OVER) {
+    const int most = static_cast<int>(kernel.across.size());
+    while (left.cwiseAbs().sum() > LEFT_OVER && kernel.terms < most) {
         left.cwiseAbs().maxCoeff(&y, &x);
         const Shares row = left.row(y), column = left.col(x) / left(y, x);
         for (Eigen::Index i = 0; i < row.size(); ++i) {

@@ -90,6 +90,7 @@ inline __attribute__((always_inline)) void soften_by(const Drawing& sharp, const
     // What a product with 0 is made of is a number.
     std::fill_n(across.begin() + width * width - 2 * RADIUS, 2 * RADIUS, 0.0F);
     std::fill_n(soft.begin() + side * width, BEYOND, 0.0F);
+    if (kernel.terms == 0) soft.fill(0);  // of a blur that is no number
     for (int term = 0; term < kernel.terms; ++term) {
         filter<TAPS, false>(sharp.data(), 1, kernel.across[term], width * width - 2 * RADIUS,
                             across.data());

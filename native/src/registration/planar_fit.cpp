@@ -93,7 +93,7 @@ PlanarFit PlanarFit::unpacked(const double* numbers) {
 }
 
 void PlanarFit::pack(double* numbers) const {
-    const double scaling = std::copysign(1 / homography.leftCols<2>().norm(), homography(2, 2));
+    const double scaling = 1 / homography.leftCols<2>().norm();
     for (int i = 0; i < 9; ++i) numbers[i] = scaling * homography(i / 3, i % 3);
     numbers[9] = radial.x(), numbers[10] = radial.y();
     numbers[11] = centre.x(), numbers[12] = centre.y();

@@ -45,9 +45,9 @@ struct PlanarFit {
 
     // The picture's; nothing is fitted yet.
     static PlanarFit of_size(double width, double height);
-    // As it crosses the border, NUMBERS. On its way out the homography is scaled so that its first
-    // two columns together have length 1, which stays so while a face moves without turning, and
-    // points are in front of the camera.
+    // As it crosses the border, NUMBERS. On its way out the homography is scaled, by a positive
+    // number, so that its first two columns together have length 1, which stays so while a face
+    // moves without turning.
     static PlanarFit unpacked(const double* numbers);
     void pack(double* numbers) const;
 

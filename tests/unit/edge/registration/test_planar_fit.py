@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from support.pictures.boards import CAMERA, checkerboard, placed, true_pixels
+from support.pictures.sound_corners import scatter_about, sound_corners
 
-from trigpoint.edge.registration.plane_fitting import fit_plane, scatter_about
-from trigpoint.edge.registration.sound_corners import sound_corners
+from trigpoint.edge.registration.plane_fitting import fit_plane
 from trigpoint.geometry import CameraModel
 
 BOARD = checkerboard(9, 7)
@@ -23,6 +23,20 @@ def test_exact_corners_are_predicted_through_the_lens() -> None:
     fit = fit_plane(POINTS[::2], pixels[::2], SIZE)
     assert fit is not None
     assert np.abs(fit.project(POINTS) - pixels).max() < 0.05
+
+
+def test_face_that_begins_behind_the_camera_is_fitted_by_what_is_seen() -> None:
+    """The floor's board below a camera that looks along it."""
+    points = np.stack(np.meshgrid(np.arange(9) * 0.1, np.arange(7) * 0.1), axis=-1).reshape(-1, 2)
+    depth = 0.25 + np.sin(np.radians(60)) * (points[:, 0] - 0.4)
+    across = np.cos(np.radians(60)) * (points[:, 0] - 0.4)
+    assert depth[0] < 0
+    shown = depth > 0.05
+    aside = np.stack([across, points[:, 1] - 0.3], axis=1)[shown]
+    pixels = 200.0 * aside / depth[shown, None] + np.array([320.0, 240.0])
+    fit = fit_plane(points[shown], pixels, SIZE, has_lens=False)
+    assert fit is not None
+    assert np.abs(fit.project(points[shown]) - pixels).max() < 1e-6
 
 
 @pytest.mark.parametrize("k1", [-0.35, 0.0, 0.2])

@@ -36,7 +36,7 @@ def begun(graph: Graph, layout: Layout, variant: Variant) -> Array:
     ties = sorted(variant.ties.items())
     ends = np.array([[graph.node_of[n], layout.at["c1", 0], -1, 0] for n, _ in ties])
     seen = np.concatenate([graph.seen_rows(n)[[tie.mode]] for n, tie in ties])
-    return initial_poses(graph, layout, variant, ends, seen)
+    return initial_poses(graph, layout, variant, ties, ends, seen)
 
 
 def started(graph: Graph, variant: Variant) -> tuple[Pose, Pose]:

@@ -1,12 +1,12 @@
-"""Which of a face's corners are where a flat face has them, and which are wild."""
+"""What the core asks of a face's corners while it measures them, as tests ask it: which are where a
+flat face has them, which are wild, and how far they scatter."""
 
 import numpy as np
 
+from trigpoint.edge.registration.planar_fit import FIT, PlanarFit
+from trigpoint.edge.registration.plane_fitting import start_of
 from trigpoint.geometry.rotation import Array
 from trigpoint.native.library import In, Kernel, Out
-
-from .planar_fit import FIT, PlanarFit
-from .plane_fitting import start_of
 
 LEAST_WILD_PX = 0.7
 # Of a face's grid spacing: real boards are not flat to better than this.
@@ -26,6 +26,7 @@ _SOUND = Kernel(
     Out(np.float64, ("n",)),
     Out(np.float64, (FIT,)),
 )
+_SCATTER = Kernel("tp_scatter", In(np.float64, (FIT,)), _POINTS, _POINTS, Out(np.float64, (1,)))
 
 
 def sound_corners(
@@ -41,10 +42,9 @@ def sound_corners(
     """Which corners (n,) lie where a flat face has them, and the fit to those.
 
     `least_px` and `least_share` (of the spacing; one, or (n,)): what is never called wild;
-    `enough_px`: of
-    `settled_fit`, the same where it is left out; `start`: a fit that is nearly right. Drops the
-    worst beyond five sigmas of the others' spread, again and again; no corner is sound where fewer
-    than four remain or all scatter.
+    `enough_px`: of `settled_fit`, the same where it is left out; `start`: a fit that is nearly
+    right. Drops the worst beyond five sigmas of the others' spread, again and again; no corner is
+    sound where fewer than four remain or all scatter.
     """
     found, keep = np.empty(FIT), np.empty(len(points))
     is_found = _SOUND(
@@ -59,3 +59,12 @@ def sound_corners(
         found,
     )
     return keep > 0, PlanarFit(found) if is_found else None
+
+
+def scatter_about(fit: PlanarFit, points: Array, pixels: Array) -> tuple[float, int]:
+    """How far pixels (n, 2) of face points (n, 2) scatter: the sum of squares, pixel², of what no
+    homography and no lens near the fit explains of them, and its freedom; 0 for n < 6."""
+    squares = np.zeros(1)
+    ends = np.ascontiguousarray(points, float), np.ascontiguousarray(pixels, float)
+    freedom = _SCATTER(fit.packed, *ends, squares)
+    return float(squares[0]), freedom
