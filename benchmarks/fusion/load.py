@@ -271,7 +271,8 @@ class Drive:
                 truth = self._corridor.camera(index).translation
                 error = camera.map_from_camera.pose.translation - truth
                 spread = camera.covariance_matrix[:3, :3]
-                found.append((error @ error, error @ np.linalg.solve(spread, error) / 3))
+                by_covariance = float(error @ np.linalg.solve(spread, error)) / 3
+                found.append((float(error @ error), by_covariance))
         squared, by_covariance = np.mean(found[1:] or found, axis=0).tolist()
         return 1e3 * squared**0.5, by_covariance
 

@@ -61,7 +61,7 @@ class _Turns(Struct):
     how often the stopped page was back."""
 
     spans_ns: list[tuple[int, int]] = field(default_factory=list)
-    memory_mb: float = 0.0
+    memory_mb: list[float] = field(default_factory=list)
     returns: int = 0
 
     def take(self, server: int, seconds: float) -> None:
@@ -69,16 +69,16 @@ class _Turns(Struct):
         begin_ns = time.time_ns()
         time.sleep(seconds)
         self.spans_ns.append((begin_ns, time.time_ns()))
-        self.memory_mb = max(self.memory_mb, resident_mb(server))
+        self.memory_mb.append(resident_mb(server))
 
     def hold(self, stamp_ns: int) -> bool:
         """Whether something was said in one of the turns."""
         return any(begin_ns <= stamp_ns < end_ns for begin_ns, end_ns in self.spans_ns)
 
-    def lost(self, stamps: _Stamps) -> tuple[int, int]:
-        """How many messages did not come on a key while others of their time did, and of how
-        many: the site says all that it says in a round at one time."""
-        asked = {stamp_ns for own in stamps.values() for stamp_ns in own if self.hold(stamp_ns)}
+    def lost(self, stamps: _Stamps, said_ns: set[int]) -> tuple[int, int]:
+        """How many messages of rounds that were `said_ns` did not come on a key, and of how many:
+        the site says all that it says in a round at one time."""
+        asked = {stamp_ns for stamp_ns in said_ns if self.hold(stamp_ns)}
         return sum(len(asked - own) for own in stamps.values()), len(asked) * len(stamps)
 
 
@@ -110,10 +110,13 @@ def _rows(none: _Turns, ten: _Turns, heard: _Heard, recorded: _Stamps) -> list[R
         "recorded corrections": _of(topics.CORRECTION, recorded),
         "recorded sightings": _of(topics.SIGHTINGS, recorded),
     }
+    # What nobody at all heard or recorded of a round is not told from one that was not said.
+    said_ns = set[int]().union(*(own for each in kinds.values() for own in each.values()))
     for name, stamps in kinds.items():
-        (lost, sent), (before, _) = ten.lost(stamps), none.lost(stamps)
+        (lost, sent), (before, _) = ten.lost(stamps, said_ns), none.lost(stamps, said_ns)
         rows.append(_row(f"ten pages, {name} lost of {sent}", "messages", lost, before, against))
-    rows.append(_row("ten pages, server's memory", "MB", ten.memory_mb, none.memory_mb, against))
+    sizes = max(ten.memory_mb), none.memory_mb[0]  # before any page was there
+    rows.append(_row("ten pages, server's memory", "MB", *sizes, against))
     what = "ten pages, the stopped one dropped and back"
     return [*rows, _row(what, "times", ten.returns, _TURNS, "how often it was stopped")]
 
@@ -206,26 +209,28 @@ def _open_pages(address: str, turns: _Turns) -> Iterator[None]:
     for process in processes:
         process.start()
     try:
-        _wait_for(counts, numbers)
+        if not _have_come(counts, numbers):
+            raise TimeoutError(f"not all of {_PAGES} pages opened within {_BACK_S:.0f} s")
         stopped = processes[1].pid
         assert stopped is not None
         os.kill(stopped, signal.SIGSTOP)
         yield
         os.kill(stopped, signal.SIGCONT)
-        _wait_for(counts[1:], (2,))
-        turns.returns += counts[1].value - 1
+        turns.returns += _have_come(counts[1:], (2,))
     finally:
         for process in processes:
             process.kill()
             process.join()
 
 
-def _wait_for(counts: "list[Synchronized[int]]", numbers: tuple[int, ...]) -> None:
+def _have_come(counts: "list[Synchronized[int]]", numbers: tuple[int, ...]) -> bool:
+    """Whether so many have, before long."""
     deadline = time.monotonic() + _BACK_S
-    while any(count.value < number for count, number in zip(counts, numbers, strict=False)):
+    while any(count.value < number for count, number in zip(counts, numbers, strict=True)):
         if time.monotonic() > deadline:
-            return
+            return False
         time.sleep(0.1)
+    return True
 
 
 def _read_pages(address: str, number: int, count: "Synchronized[int]") -> None:

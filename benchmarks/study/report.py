@@ -102,10 +102,13 @@ def write_compositions(scores: _Found, docs: Path) -> Path:
 
 
 def _written(path: Path, parts: Iterable[str]) -> Path:
-    """Replace what stands between the two marks, which are added where there are none."""
+    """Replace what stands between the two marks, which are added where there are none; raise
+    ValueError where the second is missing, since what people wrote would end there."""
     path.parent.mkdir(parents=True, exist_ok=True)
     page = path.read_text(encoding="utf-8") if path.exists() else ""
-    before, _, rest = page.partition(BEGIN)
+    before, begin, rest = page.partition(BEGIN)
+    if begin and END not in rest:
+        raise ValueError(f"{path}: «{BEGIN}» without «{END}»; write that where the tables end")
     after = rest.partition(END)[2] or "\n"
     lines = [BEGIN, "", *parts, f"Measured on {machine().summary}.", END]
     path.write_text(before + "\n".join(lines) + after, encoding="utf-8")
