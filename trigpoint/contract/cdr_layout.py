@@ -37,6 +37,8 @@ UNIT_TOLERANCE = 0.01
 _LITTLE_ENDIAN = b"\x00\x01"
 # Alignment counts from the end of the encapsulation header.
 _START = 4
+# A component is OK, WARN, ERROR or STALE.
+MOST_LEVEL = 3
 # Padding that may follow a message, up to a multiple of four.
 _PADDING = 3
 MOST_FACES = 256
@@ -52,7 +54,6 @@ COUNT = struct.Struct("<I")
 TWO_COUNTS = struct.Struct("<II")
 FACE = struct.Struct("<iI")
 SIGMA = struct.Struct("<f")
-_LEVEL = struct.Struct("<b")
 # Pose, covariance, twist, covariance.
 ODOMETRY = struct.Struct("<7d288x6d288x")
 POSE = struct.Struct("<7d")
@@ -297,7 +298,9 @@ def _posed(payload: bytes) -> tuple[int, str, Pose, int]:
 def _status(payload: bytes, position: int) -> tuple[DiagnosticStatus, int]:
     """A component's state and the position after it; IndexError, ValueError or struct.error if it
     is none."""
-    (level,) = _LEVEL.unpack_from(payload, position)
+    level = payload[position]  # an octet, as ROS reads it; rosbags reads it as signed
+    if level > MOST_LEVEL:
+        raise ValueError
     name, position = _text(payload, position + 1)
     message, position = _text(payload, position)
     hardware, position = _text(payload, position)

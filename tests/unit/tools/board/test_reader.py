@@ -81,6 +81,18 @@ def test_a_pose_that_is_not_sound_and_a_stranger_hide_no_other_and_are_counted()
     assert reader.health.total("rejected") == 2
 
 
+def test_a_report_with_a_level_that_is_none_does_not_end_the_reader() -> None:
+    def say(bus: MemoryBus) -> None:
+        status = DiagnosticStatus(3, "edge/c9", "", "", {})
+        report = encode(Diagnostics(1, (status,))).replace(b"\x03", b"\xc8")
+        bus.publisher(topics.DIAGNOSTICS, topics.DIAGNOSTICS.key(SITE.name)).put(report)
+        put(bus, "r1", 1.0)
+
+    entities, reader = shown(say)
+    assert entities["robot/r1"]["at"] == [1.0, 2.0, 0.5]
+    assert reader.health.total("rejected") == 1
+
+
 def test_whom_fusion_corrects_is_known_by_its_report() -> None:
     def say(bus: MemoryBus) -> None:
         values = {f"sent {topics.CORRECTION.key(SITE.name, 'r2')}.rate": "10.0"}

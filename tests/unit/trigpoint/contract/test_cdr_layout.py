@@ -76,7 +76,7 @@ lenses = st.sampled_from(
 )
 cameras = st.builds(CameraInfo, stamps, names, lenses)
 goals = st.builds(PoseStamped, stamps, names, poses)
-levels, told = st.integers(-128, 127), st.dictionaries(names, names, max_size=5)
+levels, told = st.integers(0, 3), st.dictionaries(names, names, max_size=5)
 statuses = st.builds(DiagnosticStatus, levels, names, names, names, told)
 reports = st.builds(Diagnostics, stamps, st.lists(statuses, max_size=3).map(tuple))
 written_quickly = st.one_of(odometry, sightings, estimates, goals)
