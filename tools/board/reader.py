@@ -4,6 +4,7 @@ import logging
 import threading
 from collections.abc import Mapping
 
+import numpy as np
 from msgspec.structs import replace
 
 from trigpoint import CONTRACT, __version__
@@ -44,6 +45,8 @@ _HEARD_S = 3.5
 """Nodes send diagnostics once a second; three that are missing are a silence."""
 _REPORTS = replace(topics.DIAGNOSTICS, queue=4096)
 _POSED = {topics.ROBOT_POSE: "robot", topics.CAMERA_POSE: "camera"}
+_MAP = "map"
+"""What is given in another frame is not where it would be shown."""
 _READ = (
     topics.ROBOT_POSE,
     topics.CAMERA_POSE,
@@ -128,7 +131,9 @@ class Reader:
     def _read(self, latest: list[tuple[Topic, Latest]]) -> None:
         for topic, incoming in latest:
             samples = incoming.take()
-            if topic not in _POSED or not self._take_poses(topic, samples):
+            if topic in _POSED:
+                self._take_poses(topic, samples)
+            else:
                 for sample in samples:
                     self._take(topic, sample)
         self._show(self._scene.changed())
@@ -149,26 +154,35 @@ class Reader:
         if isinstance(message, OccupancyGrid):
             self._grid = grid_picture(message.cell_m, message.origin, message.values)
             return
-        if isinstance(message, PoseEstimate):
-            covariance = message.covariance[None]
-            self._place(topic, [sample], [message.stamp_ns], Pose.stack([message.pose]), covariance)
-            return
         self._scene.take(topic, node_of(sample.key), message, sample.received_ns)
 
-    def _take_poses(self, topic: Topic, samples: list[Sample]) -> bool:
-        """Take all at once, in a fifth of the time; false where one of them is not sound."""
-        if not samples:
-            return True
+    def _take_poses(self, topic: Topic, samples: list[Sample]) -> None:
+        """Take all at once; they are decoded one by one only if one of them is not sound."""
+        known = [sample for sample in samples if self._is_known(topic, sample)]
+        if not known:
+            return
+        run = pose_estimate_run([sample.payload for sample in known], _MAP)
+        if run is not None:
+            stamps_ns, poses, covariances = run
+            self._place(topic, known, stamps_ns.tolist(), poses, covariances)
+            return
+        decoded = [(sample, self._sound(topic, sample)) for sample in known]
+        sound = [(sample, one) for sample, one in decoded if isinstance(one, PoseEstimate)]
+        if sound:
+            self._place(
+                topic,
+                [sample for sample, _ in sound],
+                [one.stamp_ns for _, one in sound],
+                Pose.stack([one.pose for _, one in sound]),
+                np.array([one.covariance for _, one in sound]),
+            )
+
+    def _is_known(self, topic: Topic, sample: Sample) -> bool:
         try:
-            for sample in samples:
-                check_sender(topic, sample, self._site)
-        except MessageError:
+            check_sender(topic, sample, self._site)
+        except MessageError as reason:
+            self.health.reject(sample, reason)
             return False
-        run = pose_estimate_run([sample.payload for sample in samples])
-        if run is None:
-            return False
-        stamps_ns, poses, covariances = run
-        self._place(topic, samples, stamps_ns.tolist(), poses, covariances)
         return True
 
     def _place(
@@ -186,7 +200,10 @@ class Reader:
 
     def _sound(self, topic: Topic, sample: Sample) -> Message | None:
         try:
-            return sound_message(topic, sample, self._site)
+            message = sound_message(topic, sample, self._site)
+            if (frame := getattr(message, "frame_id", _MAP)) != _MAP:
+                raise MessageError(f"it is given in frame «{frame}», not in «{_MAP}»")
+            return message
         except MessageError as reason:
             self.health.reject(sample, reason)
             return None

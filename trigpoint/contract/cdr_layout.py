@@ -101,7 +101,7 @@ def odometry_run(payloads: Sequence[bytes]) -> tuple[np.ndarray, Pose] | None:
         return None
     try:
         *_, position = _frames(names)
-    except (struct.error, ValueError):
+    except (struct.error, ValueError, MessageError):
         return None
     twist = 6, POSE.size + 8 * _COVARIANCE
     read = _run(payloads, position, twist, position + ODOMETRY.size)
@@ -174,13 +174,16 @@ def pose_estimate(payload: bytes) -> PoseEstimate | None:
     return PoseEstimate(stamp_ns, frame_id, pose, covariance.reshape(6, 6).astype(float))
 
 
-def pose_estimate_run(payloads: Sequence[bytes]) -> tuple[np.ndarray, Pose, np.ndarray] | None:
+def pose_estimate_run(
+    payloads: Sequence[bytes], frame_id: str
+) -> tuple[np.ndarray, Pose, np.ndarray] | None:
     """The stamps (n,), ns, poses (n) and covariances (n, 6, 6) of messages, to the last bit as
-    `pose_estimate` reads each; None if one of them is not valid, or has another frame than the
-    first."""
+    `pose_estimate` reads each; None if one of them is not valid, or in another frame."""
     try:
-        *_, position = _header(payloads[0])
-    except (struct.error, ValueError):
+        _, frame, position = _header(payloads[0])
+    except (struct.error, ValueError, MessageError):
+        return None
+    if frame != frame_id:
         return None
     position = _aligned(position, 8)
     end = position + POSE.size + 8 * _COVARIANCE

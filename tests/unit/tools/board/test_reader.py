@@ -2,14 +2,22 @@
 
 import threading
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
+import pytest
 from support.builders import make_site
 
 from trigpoint.base.clock import ManualClock
-from trigpoint.contract import topics
+from trigpoint.contract import cdr, topics
 from trigpoint.contract.cdr import encode
-from trigpoint.contract.messages import Diagnostics, DiagnosticStatus, PoseEstimate
+from trigpoint.contract.messages import (
+    Diagnostics,
+    DiagnosticStatus,
+    Message,
+    Polygon,
+    PoseEstimate,
+)
 from trigpoint.geometry import Pose
 from trigpoint.testing.memory_bus import MemoryBroker, MemoryBus
 from trigpoint.tools.board.entities import Entities
@@ -17,6 +25,7 @@ from trigpoint.tools.board.feed import Feed
 from trigpoint.tools.board.history import History
 from trigpoint.tools.board.pictures import Pictures
 from trigpoint.tools.board.reader import Reader
+from trigpoint.tools.board.scene import Scene
 
 SITE = make_site(cameras=1, robots=3)
 _TURNS = 50
@@ -49,8 +58,8 @@ def shown(say: Callable[[MemoryBus], None]) -> tuple[Entities, Reader]:
     return feed.whole(), reader
 
 
-def put(bus: MemoryBus, robot: str, x: float) -> None:
-    estimate = PoseEstimate(1, "map", Pose.planar(x, 2.0, 0.5), np.eye(6) * 1e-4)
+def put(bus: MemoryBus, robot: str, x: float, *, frame: str = "map") -> None:
+    estimate = PoseEstimate(1, frame, Pose.planar(x, 2.0, 0.5), np.eye(6) * 1e-4)
     bus.publisher(topics.ROBOT_POSE, topics.ROBOT_POSE.key(SITE.name, robot)).put(encode(estimate))
 
 
@@ -79,6 +88,56 @@ def test_a_pose_that_is_not_sound_and_a_stranger_hide_no_other_and_are_counted()
     assert "at" not in entities["robot/r3"]
     assert "robot/stranger" not in entities
     assert reader.health.total("rejected") == 2
+
+
+@pytest.mark.parametrize("others", [["r2"], []])
+def test_a_pose_that_is_not_given_in_the_map_is_rejected(others: list[str]) -> None:
+    def say(bus: MemoryBus) -> None:
+        put(bus, "r1", 1.0, frame="r1/odom")
+        for robot in others:
+            put(bus, robot, 2.0)
+
+    entities, reader = shown(say)
+    assert "at" not in entities["robot/r1"]
+    assert all(entities[f"robot/{robot}"]["at"] == [2.0, 2.0, 0.5] for robot in others)
+    assert reader.health.total("rejected") == 1
+
+
+def test_an_outline_that_is_not_given_in_the_map_is_rejected() -> None:
+    def say(bus: MemoryBus) -> None:
+        outline = encode(Polygon(1, "c1/optical", np.eye(3)))
+        bus.publisher(topics.COVERAGE, topics.COVERAGE.key(SITE.name, "c1")).put(outline)
+
+    entities, reader = shown(say)
+    assert "floor" not in entities["camera/c1"]
+    assert reader.health.total("rejected") == 1
+
+
+def test_strangers_and_unsound_poses_do_not_have_the_others_taken_one_by_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    taken: list[list[str]] = []
+    decoded: list[str] = []
+    monkeypatch.setattr(Scene, "take_poses", lambda _self, names, *_: taken.append(names))
+    decode = cdr.decode
+
+    def count(name: str, payload: bytes) -> Message:
+        decoded.append(name)
+        return decode(name, payload)
+
+    monkeypatch.setattr(cdr, "decode", count)
+
+    def say(bus: MemoryBus, *, x: float = 1.0) -> None:
+        put(bus, "stranger", 1.0)
+        put(bus, "r1", 1.0)
+        put(bus, "r2", x)
+        put(bus, "r3", 3.0)
+
+    shown(say)
+    assert taken == [["robot/r1", "robot/r2", "robot/r3"]]
+    assert decoded == []
+    shown(partial(say, x=np.nan))
+    assert taken[1:] == [["robot/r1", "robot/r3"]]
 
 
 def test_a_report_with_a_level_that_is_none_does_not_end_the_reader() -> None:
