@@ -44,8 +44,9 @@ class Scene:
             f"robot/{name}": {"stale": True, "index": i} for i, name in enumerate(robots)
         }
         self._corrections = {
-            f"robot/{name}": f"sent {topics.CORRECTION.key(site, name)}.rate" for name in robots
+            f"robot/{name}": f"sent {topics.CORRECTION.key(site, name)}" for name in robots
         }
+        self._corrected: dict[str, float] = {}
         self._posed_ns: dict[str, int] = {}
         self._goal_ns: dict[str, int] = {}
         self._dirty = set(self._fields)
@@ -77,9 +78,20 @@ class Scene:
         if kind == "edge":
             self._report_faces(f"camera/{name}", values, received_ns)
         elif kind == "fusion":
-            for robot, rate in self._corrections.items():
-                if number_said(values.get(rate, "")) > 0:
-                    self._set(robot, {"fixed": round(to_seconds(received_ns))})
+            for robot, counter in self._corrections.items():
+                if f"{counter}.total" in values:
+                    self._report_corrections(robot, counter, values, received_ns)
+
+    def _report_corrections(
+        self, robot: str, counter: str, values: Mapping[str, str], received_ns: int
+    ) -> None:
+        """Compare with the last total heard, as the report between may be lost; a smaller one is
+        that of a fusion which has started anew. Of the first one heard, the rate says how old."""
+        total, before = number_said(values[f"{counter}.total"]), self._corrected.get(robot)
+        self._corrected[robot] = total
+        is_first_new = before is None and number_said(values.get(f"{counter}.rate", "")) > 0
+        if is_first_new or (before is not None and 0 < total != before):
+            self._set(robot, {"fixed": round(to_seconds(received_ns))})
 
     def _report_faces(self, entity: str, values: Mapping[str, str], received_ns: int) -> None:
         if entity not in self._fields or number_said(values.get("faces.total", "")) <= 0:

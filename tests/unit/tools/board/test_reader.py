@@ -154,7 +154,8 @@ def test_a_report_with_a_level_that_is_none_does_not_end_the_reader() -> None:
 
 def test_whom_fusion_corrects_is_known_by_its_report() -> None:
     def say(bus: MemoryBus) -> None:
-        values = {f"sent {topics.CORRECTION.key(SITE.name, 'r2')}.rate": "10.0"}
+        counter = f"sent {topics.CORRECTION.key(SITE.name, 'r2')}"
+        values = {f"{counter}.total": "10", f"{counter}.rate": "10.0"}
         status = DiagnosticStatus(0, "fusion/fusion", "running", "lab", values)
         report = encode(Diagnostics(1, (status,)))
         bus.publisher(topics.DIAGNOSTICS, topics.DIAGNOSTICS.key(SITE.name)).put(report)
