@@ -3,6 +3,7 @@
 import logging
 import threading
 from collections.abc import Mapping
+from itertools import compress
 
 import numpy as np
 from msgspec.structs import replace
@@ -36,7 +37,7 @@ from .floor import Floor
 from .grid import GridPicture, grid_picture
 from .history import History
 from .pictures import Pictures
-from .scene import Scene
+from .scene import Scene, are_sound, check_places
 
 PERIOD_S = 0.05
 NAME = "board"
@@ -54,6 +55,8 @@ _READ = (
     topics.SUGGESTION,
     topics.COVERAGE_GRID,
 )
+
+_ABSURD = MessageError("it lies on no site, or its covariance is none")
 
 _log = logging.getLogger(__name__)
 
@@ -151,10 +154,14 @@ class Reader:
         message = self._sound(topic, sample)
         if message is None:
             return
-        if isinstance(message, OccupancyGrid):
-            self._grid = grid_picture(message.cell_m, message.origin, message.values)
-            return
-        self._scene.take(topic, node_of(sample.key), message, sample.received_ns)
+        try:
+            if isinstance(message, OccupancyGrid):
+                check_places(message.origin.translation)
+                self._grid = grid_picture(message.cell_m, message.origin, message.values)
+            else:
+                self._scene.take(topic, node_of(sample.key), message, sample.received_ns)
+        except MessageError as reason:
+            self.health.reject(sample, reason)
 
     def _take_poses(self, topic: Topic, samples: list[Sample]) -> None:
         """Take all at once; they are decoded one by one only if one of them is not sound."""
@@ -164,7 +171,7 @@ class Reader:
         run = pose_estimate_run([sample.payload for sample in known], _MAP)
         if run is not None:
             stamps_ns, poses, covariances = run
-            self._place(topic, known, stamps_ns.tolist(), poses, covariances)
+            self._place(topic, known, stamps_ns, poses, covariances)
             return
         decoded = [(sample, self._sound(topic, sample)) for sample in known]
         sound = [(sample, one) for sample, one in decoded if isinstance(one, PoseEstimate)]
@@ -172,7 +179,7 @@ class Reader:
             self._place(
                 topic,
                 [sample for sample, _ in sound],
-                [one.stamp_ns for _, one in sound],
+                np.array([one.stamp_ns for _, one in sound]),
                 Pose.stack([one.pose for _, one in sound]),
                 np.array([one.covariance for _, one in sound]),
             )
@@ -189,14 +196,21 @@ class Reader:
         self,
         topic: Topic,
         samples: list[Sample],
-        stamps_ns: list[int],
+        stamps_ns: np.ndarray,
         poses: Pose,
         covariances: Array,
     ) -> None:
+        chosen = are_sound(poses, covariances)
+        for sample in compress(samples, ~chosen):
+            self.health.reject(sample, _ABSURD)
+        if not chosen.any():
+            return
+        samples, stamps_ns = [*compress(samples, chosen)], stamps_ns[chosen]
+        poses, covariances = poses[chosen], covariances[chosen]
         entities = [f"{_POSED[topic]}/{node_of(sample.key)}" for sample in samples]
         received_ns = [sample.received_ns for sample in samples]
         self._scene.take_poses(entities, poses, covariances, received_ns)
-        self._floor.take(entities, poses, covariances, stamps_ns)
+        self._floor.take(entities, poses, covariances, stamps_ns.tolist())
 
     def _sound(self, topic: Topic, sample: Sample) -> Message | None:
         try:

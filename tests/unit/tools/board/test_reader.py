@@ -15,8 +15,10 @@ from trigpoint.contract.messages import (
     Diagnostics,
     DiagnosticStatus,
     Message,
+    OccupancyGrid,
     Polygon,
     PoseEstimate,
+    PoseStamped,
 )
 from trigpoint.geometry import Pose
 from trigpoint.testing.memory_bus import MemoryBroker, MemoryBus
@@ -58,8 +60,11 @@ def shown(say: Callable[[MemoryBus], None]) -> tuple[Entities, Reader]:
     return feed.whole(), reader
 
 
-def put(bus: MemoryBus, robot: str, x: float, *, frame: str = "map") -> None:
-    estimate = PoseEstimate(1, frame, Pose.planar(x, 2.0, 0.5), np.eye(6) * 1e-4)
+def put(
+    bus: MemoryBus, robot: str, x: float, *, frame: str = "map", variance: float = 1e-4
+) -> None:
+    covariance = np.diag([variance, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4])
+    estimate = PoseEstimate(1, frame, Pose.planar(x, 2.0, 0.5), covariance)
     bus.publisher(topics.ROBOT_POSE, topics.ROBOT_POSE.key(SITE.name, robot)).put(encode(estimate))
 
 
@@ -101,6 +106,44 @@ def test_a_pose_that_is_not_given_in_the_map_is_rejected(others: list[str]) -> N
     assert "at" not in entities["robot/r1"]
     assert all(entities[f"robot/{robot}"]["at"] == [2.0, 2.0, 0.5] for robot in others)
     assert reader.health.total("rejected") == 1
+
+
+@pytest.mark.parametrize(
+    ("x", "variance"), [(1e308, 1e-4), (-1e7, 1e-4), (1.0, 1e308), (1.0, 1e13), (1.0, -1e-4)]
+)
+@pytest.mark.parametrize("others", [[], ["r2"]])
+@pytest.mark.filterwarnings("error")
+def test_an_absurd_pose_is_rejected_and_hides_no_other(
+    x: float, variance: float, others: list[str]
+) -> None:
+    def say(bus: MemoryBus) -> None:
+        put(bus, "r1", x, variance=variance)
+        for robot in others:
+            put(bus, robot, 2.0)
+
+    entities, reader = shown(say)
+    assert "at" not in entities["robot/r1"]
+    assert all(entities[f"robot/{robot}"]["at"] == [2.0, 2.0, 0.5] for robot in others)
+    assert reader.health.total("rejected") == 1
+
+
+@pytest.mark.filterwarnings("error")
+def test_absurd_goals_outlines_and_grids_are_rejected() -> None:
+    far, cell = Pose.planar(1e308, 0.0, 0.0), np.zeros((1, 1), np.int8)
+
+    def say(bus: MemoryBus) -> None:
+        for topic, name, message in (
+            (topics.SUGGESTION, "r1", PoseStamped(1, "map", far)),
+            (topics.COVERAGE, "c1", Polygon(1, "map", np.full((3, 3), -1e7))),
+            (topics.COVERAGE_GRID, "", OccupancyGrid(1, "map", 0.1, far, cell)),
+        ):
+            bus.publisher(topic, topic.key(SITE.name, name)).put(encode(message))
+
+    entities, reader = shown(say)
+    assert "goal" not in entities["robot/r1"]
+    assert "floor" not in entities["camera/c1"]
+    assert "grid" not in entities
+    assert reader.health.total("rejected") == 3
 
 
 def test_an_outline_that_is_not_given_in_the_map_is_rejected() -> None:
