@@ -235,7 +235,7 @@ class Scene:
         if self._said.get(status.name) == state:
             return
         self._said[status.name] = state
-        level = _LEVELS[status.level] if status.level < len(_LEVELS) else "ERROR"
+        level = _LEVELS[status.level]
         self._log(stamp_ns, level, f"{status.name}: {status.message}")
 
 

@@ -3,7 +3,9 @@
 import logging
 import threading
 from collections.abc import Mapping
+from itertools import compress
 
+import numpy as np
 from msgspec.structs import replace
 
 from trigpoint import CONTRACT, __version__
@@ -35,7 +37,7 @@ from .floor import Floor
 from .grid import GridPicture, grid_picture
 from .history import History
 from .pictures import Pictures
-from .scene import Scene
+from .scene import Scene, are_sound, check_places
 
 PERIOD_S = 0.05
 NAME = "board"
@@ -44,6 +46,8 @@ _HEARD_S = 3.5
 """Nodes send diagnostics once a second; three that are missing are a silence."""
 _REPORTS = replace(topics.DIAGNOSTICS, queue=4096)
 _POSED = {topics.ROBOT_POSE: "robot", topics.CAMERA_POSE: "camera"}
+_MAP = "map"
+"""What is given in another frame is not where it would be shown."""
 _READ = (
     topics.ROBOT_POSE,
     topics.CAMERA_POSE,
@@ -51,6 +55,8 @@ _READ = (
     topics.SUGGESTION,
     topics.COVERAGE_GRID,
 )
+
+_ABSURD = MessageError("it lies on no site, or its covariance is none")
 
 _log = logging.getLogger(__name__)
 
@@ -128,7 +134,9 @@ class Reader:
     def _read(self, latest: list[tuple[Topic, Latest]]) -> None:
         for topic, incoming in latest:
             samples = incoming.take()
-            if topic not in _POSED or not self._take_poses(topic, samples):
+            if topic in _POSED:
+                self._take_poses(topic, samples)
+            else:
                 for sample in samples:
                     self._take(topic, sample)
         self._show(self._scene.changed())
@@ -146,47 +154,70 @@ class Reader:
         message = self._sound(topic, sample)
         if message is None:
             return
-        if isinstance(message, OccupancyGrid):
-            self._grid = grid_picture(message.cell_m, message.origin, message.values)
-            return
-        if isinstance(message, PoseEstimate):
-            covariance = message.covariance[None]
-            self._place(topic, [sample], [message.stamp_ns], Pose.stack([message.pose]), covariance)
-            return
-        self._scene.take(topic, node_of(sample.key), message, sample.received_ns)
-
-    def _take_poses(self, topic: Topic, samples: list[Sample]) -> bool:
-        """Take all at once, in a fifth of the time; false where one of them is not sound."""
-        if not samples:
-            return True
         try:
-            for sample in samples:
-                check_sender(topic, sample, self._site)
-        except MessageError:
+            if isinstance(message, OccupancyGrid):
+                check_places(message.origin.translation)
+                self._grid = grid_picture(message.cell_m, message.origin, message.values)
+            else:
+                self._scene.take(topic, node_of(sample.key), message, sample.received_ns)
+        except MessageError as reason:
+            self.health.reject(sample, reason)
+
+    def _take_poses(self, topic: Topic, samples: list[Sample]) -> None:
+        """Take all at once; they are decoded one by one only if one of them is not sound."""
+        known = [sample for sample in samples if self._is_known(topic, sample)]
+        if not known:
+            return
+        run = pose_estimate_run([sample.payload for sample in known], _MAP)
+        if run is not None:
+            stamps_ns, poses, covariances = run
+            self._place(topic, known, stamps_ns, poses, covariances)
+            return
+        decoded = [(sample, self._sound(topic, sample)) for sample in known]
+        sound = [(sample, one) for sample, one in decoded if isinstance(one, PoseEstimate)]
+        if sound:
+            self._place(
+                topic,
+                [sample for sample, _ in sound],
+                np.array([one.stamp_ns for _, one in sound]),
+                Pose.stack([one.pose for _, one in sound]),
+                np.array([one.covariance for _, one in sound]),
+            )
+
+    def _is_known(self, topic: Topic, sample: Sample) -> bool:
+        try:
+            check_sender(topic, sample, self._site)
+        except MessageError as reason:
+            self.health.reject(sample, reason)
             return False
-        run = pose_estimate_run([sample.payload for sample in samples])
-        if run is None:
-            return False
-        stamps_ns, poses, covariances = run
-        self._place(topic, samples, stamps_ns.tolist(), poses, covariances)
         return True
 
     def _place(
         self,
         topic: Topic,
         samples: list[Sample],
-        stamps_ns: list[int],
+        stamps_ns: np.ndarray,
         poses: Pose,
         covariances: Array,
     ) -> None:
+        chosen = are_sound(poses, covariances)
+        for sample in compress(samples, ~chosen):
+            self.health.reject(sample, _ABSURD)
+        if not chosen.any():
+            return
+        samples, stamps_ns = [*compress(samples, chosen)], stamps_ns[chosen]
+        poses, covariances = poses[chosen], covariances[chosen]
         entities = [f"{_POSED[topic]}/{node_of(sample.key)}" for sample in samples]
         received_ns = [sample.received_ns for sample in samples]
         self._scene.take_poses(entities, poses, covariances, received_ns)
-        self._floor.take(entities, poses, covariances, stamps_ns)
+        self._floor.take(entities, poses, covariances, stamps_ns.tolist())
 
     def _sound(self, topic: Topic, sample: Sample) -> Message | None:
         try:
-            return sound_message(topic, sample, self._site)
+            message = sound_message(topic, sample, self._site)
+            if (frame := getattr(message, "frame_id", _MAP)) != _MAP:
+                raise MessageError(f"it is given in frame «{frame}», not in «{_MAP}»")
+            return message
         except MessageError as reason:
             self.health.reject(sample, reason)
             return None

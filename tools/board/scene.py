@@ -8,8 +8,10 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trigpoint.base.clock import to_ns, to_seconds
+from trigpoint.base.errors import MessageError
 from trigpoint.contract import topics
 from trigpoint.contract.messages import Message, Polygon, PoseStamped
 from trigpoint.contract.topics import Topic
@@ -31,7 +33,7 @@ _ELLIPSE_95 = math.sqrt(-2 * math.log(0.05))
 """Half-axes of the ellipse that holds a point of a plane with 95 %, in sigmas."""
 _OUTLINE_M = 0.05
 _FURTHEST_M = 1e6
-"""No site is so large; what a stranger says beyond it would not be a number once it is rounded."""
+"""No site is so large, and no uncertainty within it."""
 
 
 class Scene:
@@ -44,25 +46,30 @@ class Scene:
             f"robot/{name}": {"stale": True, "index": i} for i, name in enumerate(robots)
         }
         self._corrections = {
-            f"robot/{name}": f"sent {topics.CORRECTION.key(site, name)}.rate" for name in robots
+            f"robot/{name}": f"sent {topics.CORRECTION.key(site, name)}" for name in robots
         }
+        self._corrected: dict[str, float] = {}
         self._posed_ns: dict[str, int] = {}
         self._goal_ns: dict[str, int] = {}
         self._dirty = set(self._fields)
 
     def take(self, topic: Topic, name: str, message: Message, received_ns: int) -> None:
+        """Raise MessageError where a message is of a place that is on no site."""
         kind = topic.path.partition("/")[0]
         entity = f"{'robot' if kind == 'robot' else 'camera'}/{name}"
         if isinstance(message, PoseStamped):
+            check_places(message.pose.translation)
             self._goal_ns[entity] = received_ns
             self._set(entity, {"goal": _plane(Pose.stack([message.pose]))[0]})
         elif isinstance(message, Polygon):
+            check_places(message.points)
             self._set(entity, {"floor": _outline(message.points[:, :2])})
 
     def take_poses(
         self, entities: Sequence[str], poses: Pose, covariances: Array, received_ns: Sequence[int]
     ) -> None:
-        """Take where some cameras are, or some robots; `poses`: (n), `covariances`: (n, 6, 6)."""
+        """Take where some cameras are, or some robots; `poses`: (n), `covariances`: (n, 6, 6), all
+        of them sound."""
         is_robots = entities[0].startswith("robot/")
         shown = (_robots if is_robots else _cameras)(poses, _uncertainty(covariances))
         for entity, fields, at_ns in zip(entities, shown, received_ns, strict=True):
@@ -77,9 +84,20 @@ class Scene:
         if kind == "edge":
             self._report_faces(f"camera/{name}", values, received_ns)
         elif kind == "fusion":
-            for robot, rate in self._corrections.items():
-                if number_said(values.get(rate, "")) > 0:
-                    self._set(robot, {"fixed": round(to_seconds(received_ns))})
+            for robot, counter in self._corrections.items():
+                if f"{counter}.total" in values:
+                    self._report_corrections(robot, counter, values, received_ns)
+
+    def _report_corrections(
+        self, robot: str, counter: str, values: Mapping[str, str], received_ns: int
+    ) -> None:
+        """Compare with the last total heard, as the report between may be lost; a smaller one is
+        that of a fusion which has started anew. Of the first one heard, the rate says how old."""
+        total, before = number_said(values[f"{counter}.total"]), self._corrected.get(robot)
+        self._corrected[robot] = total
+        is_first_new = before is None and number_said(values.get(f"{counter}.rate", "")) > 0
+        if is_first_new or (before is not None and 0 < total != before):
+            self._set(robot, {"fixed": round(to_seconds(received_ns))})
 
     def _report_faces(self, entity: str, values: Mapping[str, str], received_ns: int) -> None:
         if entity not in self._fields or number_said(values.get("faces.total", "")) <= 0:
@@ -116,6 +134,19 @@ class Scene:
         self._dirty.add(entity)
 
 
+def check_places(points: Array) -> None:
+    """Raise MessageError where one of the points (…, 3) is on no site."""
+    if np.abs(points).max(initial=0.0) > _FURTHEST_M:
+        raise MessageError(f"a position lies more than {_FURTHEST_M:g} m from the origin")
+
+
+def are_sound(poses: Pose, covariances: Array) -> NDArray[np.bool_]:
+    """Whether each of the poses (n) with covariances (n, 6, 6) can be of something on a site."""
+    is_near = np.abs(poses.translation).max(axis=1) <= _FURTHEST_M
+    is_known = np.abs(covariances).max(axis=(1, 2)) <= _FURTHEST_M**2
+    return is_near & is_known & (covariances.diagonal(axis1=1, axis2=2) >= 0).all(axis=1)
+
+
 def _robots(poses: Pose, uncertainty: list[Fields]) -> list[Fields]:
     places = zip(_plane(poses), uncertainty, strict=True)
     return [{"at": at, "stale": False, **known} for at, known in places]
@@ -139,7 +170,7 @@ def _plane(poses: Pose) -> list[list[float]]:
 
 
 def _rounded(values: Array) -> list[list[float]]:
-    return np.round(values.clip(-_FURTHEST_M, _FURTHEST_M), 3).tolist()
+    return np.round(values, 3).tolist()
 
 
 def _uncertainty(covariances: Array) -> list[Fields]:

@@ -134,7 +134,7 @@ def _node(status: DiagnosticStatus, is_alive: bool) -> NodeStatus:
                 gauges[name] = number_said(text)
             else:
                 words[name] = text
-    state = STATES[min(status.level, 3)] if is_alive else "gone"
+    state = STATES[status.level] if is_alive else "gone"
     return NodeStatus(
         name=status.name,
         state=state,

@@ -36,6 +36,8 @@ class LatestSamples(Generic[Item]):
         """Keep an item in place of its key's last one; called on the bus's thread."""
         key = self._key_of(item)
         with self._lock:
+            if self._is_closed:
+                return
             self.received += 1
             if key in self._waiting or len(self._waiting) < MOST_KEYS:
                 self._waiting[key] = item

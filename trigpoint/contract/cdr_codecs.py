@@ -16,6 +16,7 @@ from .cdr_layout import (
     LEAST_SIGMA_PX,
     MOST_CORNERS,
     MOST_FACES,
+    MOST_LEVEL,
     MOST_SIGMA_PX,
     MOST_TEXT_BYTES,
     UNIT_TOLERANCE,
@@ -355,7 +356,7 @@ def _diagnostics_to_ros(ros: Builder, m: Diagnostics) -> Any:
 def _diagnostics_from_ros(ros: Any) -> Diagnostics:
     statuses = tuple(
         DiagnosticStatus(
-            status.level,
+            _level_from_ros(status),
             status.name,
             status.message,
             status.hardware_id,
@@ -364,6 +365,13 @@ def _diagnostics_from_ros(ros: Any) -> Diagnostics:
         for status in ros.status
     )
     return Diagnostics(stamp_of(ros.header), statuses)
+
+
+def _level_from_ros(status: Any) -> int:
+    level = status.level & 0xFF  # an octet, which rosbags reads as signed
+    if level > MOST_LEVEL:
+        raise MessageError(f"«{status.name}» has the level {level}; {MOST_LEVEL} is the highest")
+    return level
 
 
 CODECS = (

@@ -37,6 +37,8 @@ UNIT_TOLERANCE = 0.01
 _LITTLE_ENDIAN = b"\x00\x01"
 # Alignment counts from the end of the encapsulation header.
 _START = 4
+# A component is OK, WARN, ERROR or STALE.
+MOST_LEVEL = 3
 # Padding that may follow a message, up to a multiple of four.
 _PADDING = 3
 MOST_FACES = 256
@@ -52,7 +54,6 @@ COUNT = struct.Struct("<I")
 TWO_COUNTS = struct.Struct("<II")
 FACE = struct.Struct("<iI")
 SIGMA = struct.Struct("<f")
-_LEVEL = struct.Struct("<b")
 # Pose, covariance, twist, covariance.
 ODOMETRY = struct.Struct("<7d288x6d288x")
 POSE = struct.Struct("<7d")
@@ -100,7 +101,7 @@ def odometry_run(payloads: Sequence[bytes]) -> tuple[np.ndarray, Pose] | None:
         return None
     try:
         *_, position = _frames(names)
-    except (struct.error, ValueError):
+    except (struct.error, ValueError, MessageError):
         return None
     twist = 6, POSE.size + 8 * _COVARIANCE
     read = _run(payloads, position, twist, position + ODOMETRY.size)
@@ -173,13 +174,16 @@ def pose_estimate(payload: bytes) -> PoseEstimate | None:
     return PoseEstimate(stamp_ns, frame_id, pose, covariance.reshape(6, 6).astype(float))
 
 
-def pose_estimate_run(payloads: Sequence[bytes]) -> tuple[np.ndarray, Pose, np.ndarray] | None:
+def pose_estimate_run(
+    payloads: Sequence[bytes], frame_id: str
+) -> tuple[np.ndarray, Pose, np.ndarray] | None:
     """The stamps (n,), ns, poses (n) and covariances (n, 6, 6) of messages, to the last bit as
-    `pose_estimate` reads each; None if one of them is not valid, or has another frame than the
-    first."""
+    `pose_estimate` reads each; None if one of them is not valid, or in another frame."""
     try:
-        *_, position = _header(payloads[0])
-    except (struct.error, ValueError):
+        _, frame, position = _header(payloads[0])
+    except (struct.error, ValueError, MessageError):
+        return None
+    if frame != frame_id:
         return None
     position = _aligned(position, 8)
     end = position + POSE.size + 8 * _COVARIANCE
@@ -297,7 +301,9 @@ def _posed(payload: bytes) -> tuple[int, str, Pose, int]:
 def _status(payload: bytes, position: int) -> tuple[DiagnosticStatus, int]:
     """A component's state and the position after it; IndexError, ValueError or struct.error if it
     is none."""
-    (level,) = _LEVEL.unpack_from(payload, position)
+    level = payload[position]  # an octet, as ROS reads it; rosbags reads it as signed
+    if level > MOST_LEVEL:
+        raise ValueError
     name, position = _text(payload, position + 1)
     message, position = _text(payload, position)
     hardware, position = _text(payload, position)

@@ -32,7 +32,7 @@ from .session import (
     sample_of,
     share_of,
 )
-from .subscriptions import subscribe, subscribe_urgent
+from .subscriptions import subscribe
 
 _ERROR_ENCODING = "text/plain"
 
@@ -163,10 +163,7 @@ class ZenohBus(Closing):
                 in_turns=in_turns,
                 bell=bell,
             )
-            if topic.delivery is Delivery.URGENT:
-                undeclare = subscribe_urgent(self._session, self._datagrams, expression, queue)
-            else:
-                undeclare = subscribe(self._session, topic, expression, queue)
+            undeclare = subscribe(self._session, self._datagrams, topic, expression, queue)
             return queue
 
         return self._declare(expression, declare)
@@ -176,7 +173,7 @@ class ZenohBus(Closing):
             latest = LatestSamples(
                 sample_of, lambda: self._close_once(latest, undeclare), key_of=key_of
             )
-            undeclare = subscribe(self._session, topic, expression, latest)
+            undeclare = subscribe(self._session, self._datagrams, topic, expression, latest)
             return latest
 
         return self._declare(expression, declare)

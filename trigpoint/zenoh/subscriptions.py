@@ -15,18 +15,24 @@ from .datagrams import Datagrams
 from .past_samples import History
 from .session import Arrival, called_at_once
 
+_Queue = SampleQueue[Arrival] | LatestSamples[Arrival]
+
 
 def subscribe(
     session: zenoh.Session,
+    datagrams: Datagrams | None,
     topic: Topic,
     expression: str,
-    queue: SampleQueue[Arrival] | LatestSamples[Arrival],
+    queue: _Queue,
 ) -> Callable[[], None]:
     """Declare a subscriber that fills `queue`; return the function that withdraws it.
 
     On topics with a cache it also gets what the senders keep and what was sent while the link was
-    broken; what is lost of this is counted.
+    broken; what is lost of this is counted. On urgent ones it also gets the copies sent as
+    `datagrams`.
     """
+    if topic.delivery is Delivery.URGENT:
+        return _subscribe_urgent(session, datagrams, expression, queue)
 
     def receive(sample: zenoh.Sample) -> None:
         queue.push((time.time_ns(), sample))
@@ -61,13 +67,10 @@ def subscribe(
     return undeclare
 
 
-def subscribe_urgent(
-    session: zenoh.Session,
-    datagrams: Datagrams | None,
-    expression: str,
-    queue: SampleQueue[Arrival],
+def _subscribe_urgent(
+    session: zenoh.Session, datagrams: Datagrams | None, expression: str, queue: _Queue
 ) -> Callable[[], None]:
-    """Like `subscribe`, for samples that arrive by more than one path: the first copy counts."""
+    """For samples that arrive by more than one path: the first copy counts."""
     newest = Newest()
 
     def receive(sample: zenoh.Sample) -> None:

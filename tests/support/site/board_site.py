@@ -167,7 +167,7 @@ class BoardSite:
             values |= {"odom.rate": f"{5 * unsteady:.1f}", "odom.total": "5000"}
         else:
             values |= {f"sent {key}.rate": f"{unsteady}" for key in self._publishers}
-            values |= {f"sent {key}.total": "1000" for key in self._publishers}
+            values |= {f"sent {key}.total": f"{10 * time_s:.0f}" for key in self._publishers}
         return values
 
 

@@ -1,6 +1,9 @@
 """The last hour, as it was."""
 
-from trigpoint.tools.board.entities import Entities
+import random
+import time
+
+from trigpoint.tools.board.entities import Entities, Fields
 from trigpoint.tools.board.feed import Feed
 from trigpoint.tools.board.history import HOUR_S, History
 
@@ -61,3 +64,17 @@ def test_it_holds_an_hour_and_no_more() -> None:
     assert begin_s is not None
     assert HOUR_S <= 1000.0 + 2 * HOUR_S - begin_s <= HOUR_S + 121
     assert history.size < 1_000_000
+
+
+def test_packing_a_minute_holds_up_no_second() -> None:
+    draw = random.Random(1)
+    feed, history, took_s = Feed(), History(), []
+    for second in range(90):
+        now: dict[str, Fields | None] = {
+            f"robot/r{i}": {"at": [draw.random() for _ in range(3)]} for i in range(200)
+        }
+        change, shown = feed.update(now, second), feed.whole()
+        begin_s = time.thread_time()
+        history.keep(change, shown, second)
+        took_s.append(time.thread_time() - begin_s)
+    assert max(took_s) < 0.2 * sum(took_s)

@@ -2,14 +2,24 @@
 
 import threading
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
+import pytest
 from support.builders import make_site
 
 from trigpoint.base.clock import ManualClock
-from trigpoint.contract import topics
+from trigpoint.contract import cdr, topics
 from trigpoint.contract.cdr import encode
-from trigpoint.contract.messages import Diagnostics, DiagnosticStatus, PoseEstimate
+from trigpoint.contract.messages import (
+    Diagnostics,
+    DiagnosticStatus,
+    Message,
+    OccupancyGrid,
+    Polygon,
+    PoseEstimate,
+    PoseStamped,
+)
 from trigpoint.geometry import Pose
 from trigpoint.testing.memory_bus import MemoryBroker, MemoryBus
 from trigpoint.tools.board.entities import Entities
@@ -17,6 +27,7 @@ from trigpoint.tools.board.feed import Feed
 from trigpoint.tools.board.history import History
 from trigpoint.tools.board.pictures import Pictures
 from trigpoint.tools.board.reader import Reader
+from trigpoint.tools.board.scene import Scene
 
 SITE = make_site(cameras=1, robots=3)
 _TURNS = 50
@@ -49,8 +60,11 @@ def shown(say: Callable[[MemoryBus], None]) -> tuple[Entities, Reader]:
     return feed.whole(), reader
 
 
-def put(bus: MemoryBus, robot: str, x: float) -> None:
-    estimate = PoseEstimate(1, "map", Pose.planar(x, 2.0, 0.5), np.eye(6) * 1e-4)
+def put(
+    bus: MemoryBus, robot: str, x: float, *, frame: str = "map", variance: float = 1e-4
+) -> None:
+    covariance = np.diag([variance, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4])
+    estimate = PoseEstimate(1, frame, Pose.planar(x, 2.0, 0.5), covariance)
     bus.publisher(topics.ROBOT_POSE, topics.ROBOT_POSE.key(SITE.name, robot)).put(encode(estimate))
 
 
@@ -81,9 +95,110 @@ def test_a_pose_that_is_not_sound_and_a_stranger_hide_no_other_and_are_counted()
     assert reader.health.total("rejected") == 2
 
 
+@pytest.mark.parametrize("others", [["r2"], []])
+def test_a_pose_that_is_not_given_in_the_map_is_rejected(others: list[str]) -> None:
+    def say(bus: MemoryBus) -> None:
+        put(bus, "r1", 1.0, frame="r1/odom")
+        for robot in others:
+            put(bus, robot, 2.0)
+
+    entities, reader = shown(say)
+    assert "at" not in entities["robot/r1"]
+    assert all(entities[f"robot/{robot}"]["at"] == [2.0, 2.0, 0.5] for robot in others)
+    assert reader.health.total("rejected") == 1
+
+
+@pytest.mark.parametrize(
+    ("x", "variance"), [(1e308, 1e-4), (-1e7, 1e-4), (1.0, 1e308), (1.0, 1e13), (1.0, -1e-4)]
+)
+@pytest.mark.parametrize("others", [[], ["r2"]])
+@pytest.mark.filterwarnings("error")
+def test_an_absurd_pose_is_rejected_and_hides_no_other(
+    x: float, variance: float, others: list[str]
+) -> None:
+    def say(bus: MemoryBus) -> None:
+        put(bus, "r1", x, variance=variance)
+        for robot in others:
+            put(bus, robot, 2.0)
+
+    entities, reader = shown(say)
+    assert "at" not in entities["robot/r1"]
+    assert all(entities[f"robot/{robot}"]["at"] == [2.0, 2.0, 0.5] for robot in others)
+    assert reader.health.total("rejected") == 1
+
+
+@pytest.mark.filterwarnings("error")
+def test_absurd_goals_outlines_and_grids_are_rejected() -> None:
+    far, cell = Pose.planar(1e308, 0.0, 0.0), np.zeros((1, 1), np.int8)
+
+    def say(bus: MemoryBus) -> None:
+        for topic, name, message in (
+            (topics.SUGGESTION, "r1", PoseStamped(1, "map", far)),
+            (topics.COVERAGE, "c1", Polygon(1, "map", np.full((3, 3), -1e7))),
+            (topics.COVERAGE_GRID, "", OccupancyGrid(1, "map", 0.1, far, cell)),
+        ):
+            bus.publisher(topic, topic.key(SITE.name, name)).put(encode(message))
+
+    entities, reader = shown(say)
+    assert "goal" not in entities["robot/r1"]
+    assert "floor" not in entities["camera/c1"]
+    assert "grid" not in entities
+    assert reader.health.total("rejected") == 3
+
+
+def test_an_outline_that_is_not_given_in_the_map_is_rejected() -> None:
+    def say(bus: MemoryBus) -> None:
+        outline = encode(Polygon(1, "c1/optical", np.eye(3)))
+        bus.publisher(topics.COVERAGE, topics.COVERAGE.key(SITE.name, "c1")).put(outline)
+
+    entities, reader = shown(say)
+    assert "floor" not in entities["camera/c1"]
+    assert reader.health.total("rejected") == 1
+
+
+def test_strangers_and_unsound_poses_do_not_have_the_others_taken_one_by_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    taken: list[list[str]] = []
+    decoded: list[str] = []
+    monkeypatch.setattr(Scene, "take_poses", lambda _self, names, *_: taken.append(names))
+    decode = cdr.decode
+
+    def count(name: str, payload: bytes) -> Message:
+        decoded.append(name)
+        return decode(name, payload)
+
+    monkeypatch.setattr(cdr, "decode", count)
+
+    def say(bus: MemoryBus, *, x: float = 1.0) -> None:
+        put(bus, "stranger", 1.0)
+        put(bus, "r1", 1.0)
+        put(bus, "r2", x)
+        put(bus, "r3", 3.0)
+
+    shown(say)
+    assert taken == [["robot/r1", "robot/r2", "robot/r3"]]
+    assert decoded == []
+    shown(partial(say, x=np.nan))
+    assert taken[1:] == [["robot/r1", "robot/r3"]]
+
+
+def test_a_report_with_a_level_that_is_none_does_not_end_the_reader() -> None:
+    def say(bus: MemoryBus) -> None:
+        status = DiagnosticStatus(3, "edge/c9", "", "", {})
+        report = encode(Diagnostics(1, (status,))).replace(b"\x03", b"\xc8")
+        bus.publisher(topics.DIAGNOSTICS, topics.DIAGNOSTICS.key(SITE.name)).put(report)
+        put(bus, "r1", 1.0)
+
+    entities, reader = shown(say)
+    assert entities["robot/r1"]["at"] == [1.0, 2.0, 0.5]
+    assert reader.health.total("rejected") == 1
+
+
 def test_whom_fusion_corrects_is_known_by_its_report() -> None:
     def say(bus: MemoryBus) -> None:
-        values = {f"sent {topics.CORRECTION.key(SITE.name, 'r2')}.rate": "10.0"}
+        counter = f"sent {topics.CORRECTION.key(SITE.name, 'r2')}"
+        values = {f"{counter}.total": "10", f"{counter}.rate": "10.0"}
         status = DiagnosticStatus(0, "fusion/fusion", "running", "lab", values)
         report = encode(Diagnostics(1, (status,)))
         bus.publisher(topics.DIAGNOSTICS, topics.DIAGNOSTICS.key(SITE.name)).put(report)

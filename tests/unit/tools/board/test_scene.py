@@ -115,14 +115,40 @@ def test_all_cameras_stay_located_where_fusion_is_away() -> None:
 
 def test_a_correction_is_a_time_and_a_suggestion_ends() -> None:
     shown = scene()
-    shown.report("fusion/fusion", {"sent lab/robot/r1/correction.rate": "9.9"}, 7 * S)
-    shown.report("fusion/fusion", {"sent lab/robot/r1/correction.rate": "0.0"}, 8 * S)
+    shown.report("fusion/fusion", corrections(9, rate=9.9), 7 * S)
+    shown.report("fusion/fusion", corrections(9), 8 * S)
     goal = PoseStamped(0, "map", Pose.planar(1, 2, 0.1))
     shown.take(topics.SUGGESTION, "r1", goal, 7 * S)
     robot = changed(shown, 7 * S)["robot/r1"]
     assert (robot["fixed"], robot["goal"]) == (7, [1.0, 2.0, 0.1])
     assert "at" not in robot  # a correction is not where the robot is
     assert changed(shown, 60 * S)["robot/r1"]["goal"] is None
+
+
+def corrections(total: int, *, rate: float = 0.0) -> dict[str, str]:
+    counter = "sent lab/robot/r1/correction"
+    return {f"{counter}.total": str(total), f"{counter}.rate": str(rate)}
+
+
+@pytest.mark.parametrize(
+    ("totals", "fixed"),
+    [
+        ([50], None),  # before anybody looked
+        ([50, 50], None),
+        ([50, 51], 2),  # the report between, with the rate, was lost
+        ([50, 51, 51], 2),
+        ([50, 3], 2),  # of a fusion that was started anew
+        ([50, 0], None),
+        ([50, 0, 1], 3),
+    ],
+)
+def test_a_correction_is_shown_where_the_report_of_its_second_is_lost(
+    totals: list[int], fixed: int | None
+) -> None:
+    shown = scene()
+    for second, total in enumerate(totals, 1):
+        shown.report("fusion/fusion", corrections(total), second * S)
+    assert changed(shown, 9 * S).get("robot/r1", {}).get("fixed") == fixed
 
 
 def test_an_outline_keeps_its_corners_and_loses_what_lies_between() -> None:

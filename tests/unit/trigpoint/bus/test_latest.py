@@ -36,6 +36,15 @@ def test_more_keys_than_any_site_has_are_dropped_and_counted() -> None:
     assert incoming.take()[0] == sample("0", 9)
 
 
+def test_what_comes_after_it_is_closed_is_not_kept() -> None:
+    incoming = latest([])
+    incoming.push(sample("before", 1))
+    incoming.close()
+    incoming.push(sample("after", 2))
+    assert incoming.received == 1
+    assert incoming.take() == [sample("before", 1)]
+
+
 def test_it_is_withdrawn_once() -> None:
     closed: list[bool] = []
     incoming = latest(closed)

@@ -252,6 +252,16 @@ def test_unsound_message_is_refused_on_arrival(make: Callable[[], Message], comp
         decode(type_name(message), encode(message))
 
 
+@pytest.mark.parametrize("level", [4, 127, 128, 200, 255])
+def test_a_level_that_is_none_is_refused_and_said_as_the_octet_that_it_is(level: int) -> None:
+    status = DiagnosticStatus(3, "edge/c1", "", "", {})
+    payload = bytearray(encode(Diagnostics(0, (status,))))
+    assert payload.count(3) == 1
+    payload[payload.index(3)] = level
+    with pytest.raises(MessageError, match=f"«edge/c1» has the level {level}; 3 is the highest"):
+        decode(messages.DIAGNOSTICS, bytes(payload))
+
+
 def test_orientation_that_is_no_rotation_is_refused() -> None:
     payload = bytearray(encode(PoseStamped(0, "map", Pose.identity())))
     payload[-8:] = np.float64(0.5).tobytes()  # w, the last number

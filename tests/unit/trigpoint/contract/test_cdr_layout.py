@@ -76,7 +76,7 @@ lenses = st.sampled_from(
 )
 cameras = st.builds(CameraInfo, stamps, names, lenses)
 goals = st.builds(PoseStamped, stamps, names, poses)
-levels, told = st.integers(-128, 127), st.dictionaries(names, names, max_size=5)
+levels, told = st.integers(0, 3), st.dictionaries(names, names, max_size=5)
 statuses = st.builds(DiagnosticStatus, levels, names, names, names, told)
 reports = st.builds(Diagnostics, stamps, st.lists(statuses, max_size=3).map(tuple))
 written_quickly = st.one_of(odometry, sightings, estimates, goals)
@@ -100,6 +100,13 @@ BY_LAYOUT: dict[str, Callable[[bytes], Message | None]] = {
 
 def by_layout(name: str, payload: bytes) -> Message | None:
     return BY_LAYOUT[name](payload)
+
+
+def is_read(name: str, payload: bytes) -> bool:
+    try:
+        return by_layout(name, payload) is not None
+    except MessageError:
+        return False
 
 
 def assert_same(one: object, other: object) -> None:
@@ -225,7 +232,7 @@ def test_poses_of_many_are_read_at_once_as_each(
     drawn: list[tuple[int, Pose, np.ndarray]], frame: str
 ) -> None:
     payloads = [encode(PoseEstimate(ns, frame, pose, known)) for ns, pose, known in drawn]
-    read = cdr_layout.pose_estimate_run(payloads)
+    read = cdr_layout.pose_estimate_run(payloads, frame)
     assert read is not None
     stamps_ns, found, known = read
     each = [cdr_layout.pose_estimate(payload) for payload in payloads]
@@ -233,6 +240,7 @@ def test_poses_of_many_are_read_at_once_as_each(
     assert stamps_ns.tolist() == [message.stamp_ns for message in sound]
     assert found.rows().tobytes() == Pose.stack([m.pose for m in sound]).rows().tobytes()
     assert known.tobytes() == np.stack([message.covariance for message in sound]).tobytes()
+    assert cdr_layout.pose_estimate_run(payloads, f"{frame}/other") is None
 
 
 @settings(max_examples=100)
@@ -242,9 +250,17 @@ def test_poses_of_which_one_is_not_sound_are_left_to_each(
 ) -> None:
     payloads = [encode(first), bytearray(encode(second))]
     payloads[1][data.draw(st.integers(0, len(payloads[1]) - 1))] = data.draw(st.integers(0, 255))
-    is_sound = all(cdr_layout.pose_estimate(bytes(each)) is not None for each in payloads)
-    read = cdr_layout.pose_estimate_run([bytes(each) for each in payloads])
+    is_sound = all(is_read(POSE_ESTIMATE, bytes(each)) for each in payloads)
+    read = cdr_layout.pose_estimate_run([bytes(each) for each in payloads], first.frame_id)
     assert read is None or is_sound
+
+
+@pytest.mark.parametrize("name", ["x" * 300, "x" * 254])
+def test_a_run_with_a_name_that_is_too_long_is_left_to_each(name: str) -> None:
+    estimate = encode(PoseEstimate(0, name, Pose.identity(), np.eye(6)))
+    assert (cdr_layout.pose_estimate_run([estimate], name) is None) is (len(name) > 255)
+    moved = encode(Odometry(0, name, "", Pose.identity()))
+    assert (cdr_layout.odometry_run([moved]) is None) is (len(name) > 255)
 
 
 @settings(max_examples=100)
@@ -254,6 +270,6 @@ def test_run_with_a_message_that_is_not_sound_is_left_to_each(
 ) -> None:
     payloads = [encode(first), bytearray(encode(second))]
     payloads[1][data.draw(st.integers(0, len(payloads[1]) - 1))] = data.draw(st.integers(0, 255))
-    is_sound = all(cdr_layout.odometry(bytes(each)) is not None for each in payloads)
+    is_sound = all(is_read(ODOMETRY, bytes(each)) for each in payloads)
     read = cdr_layout.odometry_run([bytes(each) for each in payloads])
     assert read is None or is_sound
