@@ -109,7 +109,8 @@ def _site(world: World, situation: Situation, estimator: str) -> Site:
         keys: dict[str, Any] = dict(situation.camera)
         size = (camera.model.width, camera.model.height)
         cameras[name] = CameraConfig(f"sim://{name}", *size, **keys)
-    flat = PriorConfig(floor_tilt=0.0)  # what is true of the simulated floor is said
+    # What is true of the simulated floor and mast is said.
+    flat = PriorConfig(floor_tilt=0.0, target_sway=0.0)
     fusion: dict[str, Any] = {"estimator": estimator, "priors": flat, **situation.fusion}
     robots = {n: RobotConfig("loop://", odometry=r.noise) for n, r in world.robots.items()}
     return Site(

@@ -6,12 +6,13 @@ from collections.abc import Iterator
 
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.jitter import Jitter
+from trigpoint.site.config.fusion import PriorConfig
 
 # What is smaller, or differs by less, is not worth a line.
 _LEAST_TILT = math.radians(0.05)
 _LEAST_SWAY_M = 5e-5
 _LEAST_CHANGE = 0.05
-# A slope within rounding of its prior's was not told by pictures.
+# A slope or a sway within rounding of its prior's was not told by pictures.
 _UNTOLD = 1.1
 
 
@@ -25,10 +26,8 @@ def noise_lines(data: DataSet) -> tuple[str, ...]:
 
 def _of_robot(data: DataSet, robot: str) -> Iterator[str]:
     jitter = data.jitter.get(robot)
-    if jitter is not None and jitter.tilt > _LEAST_TILT:
-        yield _tilt(data, jitter)
-    if jitter is not None and jitter.sway > _LEAST_SWAY_M:
-        yield f"a target that sways by {1e3 * jitter.sway:.1f} mm"
+    if jitter is not None:
+        yield from _of_pictures(data.site.fusion.priors, jitter)
     odometry, slip = data.odometry_scale.get(robot, (1.0, 1.0))
     if _differs(odometry):
         yield f"{_factor(odometry)} the stated noise of odometry"
@@ -36,13 +35,21 @@ def _of_robot(data: DataSet, robot: str) -> Iterator[str]:
         yield f"{_factor(slip)} the assumed slip in turns"
 
 
-def _tilt(data: DataSet, jitter: Jitter) -> str:
-    degrees = f"{math.degrees(jitter.tilt):.2f}°"
-    if jitter.length == 0:
-        return f"a tilt of {degrees} in each picture anew"
-    if jitter.tilt < _UNTOLD * data.site.fusion.priors.floor_tilt:
-        return f"a floor that may slope by {degrees}, as far as pictures tell"
-    return f"a tilt of {degrees} by a floor whose slope changes over {jitter.length:.1f} m"
+def _of_pictures(priors: PriorConfig, jitter: Jitter) -> Iterator[str]:
+    degrees, sway = f"{math.degrees(jitter.tilt):.2f}°", f"{1e3 * jitter.sway:.1f} mm"
+    is_untold = jitter.length > 0 and jitter.tilt < _UNTOLD * priors.floor_tilt
+    may_sway = is_untold and jitter.sway < _UNTOLD * priors.target_sway
+    if jitter.tilt <= _LEAST_TILT:
+        pass
+    elif is_untold:
+        more = f" and a target that may sway by {sway}" if may_sway else ""
+        yield f"a floor that may slope by {degrees}{more}, as far as pictures tell"
+    elif jitter.length == 0:
+        yield f"a tilt of {degrees} in each picture anew"
+    else:
+        yield f"a tilt of {degrees} by a floor whose slope changes over {jitter.length:.1f} m"
+    if jitter.sway > _LEAST_SWAY_M and not may_sway:
+        yield f"a target that sways by {sway}"
 
 
 def _of_camera(data: DataSet, camera: str) -> str:

@@ -113,6 +113,7 @@ COMMENTS: dict[tuple[type[Struct], str], str] = {
         PriorConfig,
         "floor_tilt",
     ): "rad; how much floors slope where pictures do not tell; 0: flat",
+    (PriorConfig, "target_sway"): "m; the same of how a target sways on its robot",
     (PriorConfig, "noise"): "that noise is far from what is stated, unless the session tells",
     (PriorConfig, "room"): "m; the box in which cameras hang and robots drive",
     (RecorderConfig, "directory"): "where recordings go",

@@ -17,9 +17,9 @@ class PriorConfig(Struct, frozen=True, forbid_unknown_fields=True):
     (who interferes once is likely to do so again); `push_translation`, `push_rotation`: every other
     camera that was moved was only pushed, by about so much along and about each axis (standard
     deviations, m and rad), and is not elsewhere in the room; `noise`: the noise is far from what
-    the site file states, in a session too short to tell; `floor_tilt`: how much floors slope of
-    which nothing tells (root mean square, rad; 0: they are flat); `room`: the box, metres, in which
-    cameras hang and robots drive.
+    the site file states, in a session too short to tell; `floor_tilt`, `target_sway`: how much
+    floors slope, and targets sway on their robots, of which nothing tells (root mean square, rad,
+    m; 0: they do not); `room`: the box, metres, in which cameras hang and robots drive.
     """
 
     wrong_sighting: Probability = 0.02
@@ -30,6 +30,7 @@ class PriorConfig(Struct, frozen=True, forbid_unknown_fields=True):
     push_rotation: Positive = 0.1
     noise: Probability = 5e-4
     floor_tilt: NotNegative = 0.0035
+    target_sway: NotNegative = 0.0005
     room: tuple[Positive, Positive, Positive] = (30.0, 30.0, 5.0)
 
 

@@ -7,12 +7,12 @@ from support.oracle.sessions import Shape, data_of
 from trigpoint.fusion.association.events import Events
 from trigpoint.fusion.association.learning import learnt_noise
 from trigpoint.fusion.association.memory import Memory
-from trigpoint.fusion.association.noise import PESSIMISTIC, STATED, on_a_floor
+from trigpoint.fusion.association.noise import PESSIMISTIC, STATED, untold
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import Observation
 
 EVENTS = Events()
-UNTOLD = on_a_floor(STATED, EVENTS.priors.floor_tilt)
+UNTOLD = untold(STATED, EVENTS.priors.floor_tilt, EVENTS.priors.target_sway)
 SHAPE = Shape(0, (0, 1, 0), is_alike=False)
 
 

@@ -34,8 +34,17 @@ def test_each_kind_of_noise_is_named() -> None:
 
 def test_slope_that_nothing_tells_is_said_to_be_none_that_was_seen() -> None:
     data = small_data()
-    data.jitter = {"r1": Jitter(sway=1e-6, tilt=data.site.fusion.priors.floor_tilt, length=1.0)}
-    assert noise_lines(data) == ("r1: a floor that may slope by 0.20°, as far as pictures tell",)
+    priors = data.site.fusion.priors
+    data.jitter = {"r1": Jitter(priors.target_sway, priors.floor_tilt, length=1.0)}
+    assert noise_lines(data) == (
+        "r1: a floor that may slope by 0.20° and a target that may sway by 0.5 mm, as far as "
+        "pictures tell",
+    )
+    data.jitter = {"r1": Jitter(0.002, priors.floor_tilt, length=1.0)}
+    assert noise_lines(data) == (
+        "r1: a floor that may slope by 0.20°, as far as pictures tell, "
+        "a target that sways by 2.0 mm",
+    )
 
 
 def test_what_holds_for_several_is_one_line() -> None:
