@@ -83,9 +83,8 @@ def _corner_scales(
 def _unknown(common: float, events: Events, *, planar: bool) -> list[tuple[Noise, float]]:
     """Return what the noise of a robot may be where nothing determines it, the least first, each
     with the score of its prior; `common`: the factor on the corners' stated sigma."""
-    least = (
-        untold(STATED, events.priors.floor_tilt, events.priors.target_sway) if planar else STATED
-    )
+    priors = events.priors
+    least = untold(STATED, priors.floor_tilt, priors.target_sway) if planar else STATED
     if common == 1.0:
         return [(least, 0.0), (PESSIMISTIC, events.noise_score)]
     pessimistic = replace(PESSIMISTIC, odometry=max(PESSIMISTIC.odometry, common))

@@ -11,8 +11,7 @@ know where anything is:
 
 What does not differ significantly from what is stated stays as stated. But nobody states how a
 floor slopes or a target sways, and pictures that were taken near each other, or one alone, hardly
-tell: of that the mean over its posterior is taken (`expected`), not the likeliest, which is
-none.
+tell: of that the mean over its posterior is taken (`expected`), not the likeliest: none.
 """
 
 import math

@@ -36,19 +36,19 @@ def _of_robot(data: DataSet, robot: str) -> Iterator[str]:
 
 
 def _of_pictures(priors: PriorConfig, jitter: Jitter) -> Iterator[str]:
+    tilts, sways = jitter.tilt > _LEAST_TILT, jitter.sway > _LEAST_SWAY_M
+    may_slope = tilts and jitter.length > 0 and jitter.tilt < _UNTOLD * priors.floor_tilt
+    may_sway = sways and (may_slope or not tilts) and jitter.sway < _UNTOLD * priors.target_sway
     degrees, sway = f"{math.degrees(jitter.tilt):.2f}°", f"{1e3 * jitter.sway:.1f} mm"
-    is_untold = jitter.length > 0 and jitter.tilt < _UNTOLD * priors.floor_tilt
-    may_sway = is_untold and jitter.sway < _UNTOLD * priors.target_sway
-    if jitter.tilt <= _LEAST_TILT:
-        pass
-    elif is_untold:
-        more = f" and a target that may sway by {sway}" if may_sway else ""
-        yield f"a floor that may slope by {degrees}{more}, as far as pictures tell"
-    elif jitter.length == 0:
+    untold = [f"a floor that may slope by {degrees}"] if may_slope else []
+    untold += [f"a target that may sway by {sway}"] if may_sway else []
+    if untold:
+        yield f"{' and '.join(untold)}, as far as pictures tell"
+    if tilts and not may_slope and jitter.length == 0:
         yield f"a tilt of {degrees} in each picture anew"
-    else:
+    elif tilts and not may_slope:
         yield f"a tilt of {degrees} by a floor whose slope changes over {jitter.length:.1f} m"
-    if jitter.sway > _LEAST_SWAY_M and not may_sway:
+    if sways and not may_sway:
         yield f"a target that sways by {sway}"
 
 

@@ -40,6 +40,8 @@ def test_slope_that_nothing_tells_is_said_to_be_none_that_was_seen() -> None:
         "r1: a floor that may slope by 0.20° and a target that may sway by 0.5 mm, as far as "
         "pictures tell",
     )
+    data.jitter = {"r1": Jitter(priors.target_sway, 1e-6, length=0.0)}
+    assert noise_lines(data) == ("r1: a target that may sway by 0.5 mm, as far as pictures tell",)
     data.jitter = {"r1": Jitter(0.002, priors.floor_tilt, length=1.0)}
     assert noise_lines(data) == (
         "r1: a floor that may slope by 0.20°, as far as pictures tell, "
