@@ -52,7 +52,8 @@ def test_what_the_session_tells_of_its_noise_holds_for_the_filters_too(
     network = load_network(tmp_path / "network.json")
     with np.load(tmp_path / "covariance.npz") as archive:
         error = network_error(network, archive["covariance"], load_truth(swaying / "truth.json"))
-    assert network.located == [f"c{number}" for number in range(1, 8)]
+    # Of the two faces that c7 saw at once one is wrong, and nothing tells which.
+    assert network.located == [f"c{number}" for number in range(1, 7)]
     assert max(camera.sigmas for camera in error.cameras.values()) < 4
     assert error.nees is not None
     assert error.nees < 2
