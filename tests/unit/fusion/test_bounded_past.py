@@ -132,8 +132,8 @@ def opened(folder: Path, past: Past | None = None) -> MapStorage:
 
 
 def assert_as_much_is_known(network: Network, everything: Network) -> None:
-    """Within 0.3 sigma, and sigmas within a tenth: a part tells less of its noise, as of how a target
-    sways, than all of it does."""
+    """Within 0.3 sigma, and sigmas within a tenth: of how much a target sways, and the like, a part
+    tells less than all of it does."""
     for name, whole in everything.cameras.items():
         mine = network.cameras[name]
         assert mine.status == "located"
