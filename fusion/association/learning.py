@@ -13,7 +13,7 @@ from .local import LocalProblem
 from .memory import Memory
 from .mode import Mode
 from .modes import ModeFinder, wrong_by
-from .noise import PESSIMISTIC, STATED, Noise, untold
+from .noise import PESSIMISTIC, STATED, Noise, on_a_floor
 from .session_noise import with_noise
 from .variances import corner_scale, learn
 from .visits import Visit, telling, telling_of_lenses, visits_of
@@ -84,7 +84,8 @@ def _unknown(common: float, events: Events, *, planar: bool) -> list[tuple[Noise
     """Return what the noise of a robot may be where nothing determines it, the least first, each
     with the score of its prior; `common`: the factor on the corners' stated sigma."""
     priors = events.priors
-    least = untold(STATED, priors.floor_tilt, priors.target_sway) if planar else STATED
+    swaying = replace(STATED, sway=priors.target_sway)
+    least = on_a_floor(swaying, priors.floor_tilt) if planar else STATED
     if common == 1.0:
         return [(least, 0.0), (PESSIMISTIC, events.noise_score)]
     pessimistic = replace(PESSIMISTIC, odometry=max(PESSIMISTIC.odometry, common))

@@ -49,12 +49,9 @@ STATED = Noise()
 PESSIMISTIC = Noise(tilt=TILT, sway=SWAY, odometry=2.0, slip=2.0)
 
 
-def untold(noise: Noise, slope: float, sway: float) -> Noise:
-    """Return a noise in which nothing tilts, on a floor of such a root mean square slope (rad), and
-    with a target that sways by so much (m) if no sway is in the noise yet."""
-    if slope > LEAST * TILT:
-        noise = replace(noise, tilt=slope, length=LENGTH)
-    return replace(noise, sway=sway) if noise.sway == 0 and sway > LEAST * SWAY else noise
+def on_a_floor(noise: Noise, slope: float) -> Noise:
+    """Return a noise in which nothing tilts, on a floor of such a root mean square slope (rad)."""
+    return replace(noise, tilt=slope, length=LENGTH) if slope > LEAST * TILT else noise
 
 
 def in_steps(value: float) -> float:

@@ -10,8 +10,8 @@ know where anything is:
   components by restricted maximum likelihood (Patterson and Thompson, 1971).
 
 What does not differ significantly from what is stated stays as stated. But nobody states how a
-floor slopes or a target sways, and pictures that were taken near each other, or one alone, hardly
-tell: of that the mean over its posterior is taken (`expected`), not the likeliest: none.
+floor slopes, and pictures that were taken near each other hardly tell: of that the mean over its
+posterior is taken (`expected_slope`), not the likeliest, which is none.
 """
 
 import math
@@ -29,7 +29,7 @@ from .budget import Budget
 from .events import Events
 from .linear import Linear
 from .misfit import interrupted, misfit
-from .noise import LEAST, LENGTH, STATED, SWAY, TILT, Noise, in_steps, untold
+from .noise import LEAST, LENGTH, STATED, SWAY, TILT, Noise, in_steps, on_a_floor
 
 # The probability with which a session whose noise is as stated is found to differ.
 _SIGNIFICANCE = 1e-3
@@ -62,10 +62,10 @@ _FLOOR = (*_JITTER, "length")
 # The search ends where the likelihood changes by less than this share.
 _FLAT = 1e-7
 _MOST_STEPS = 50
-# By such shares of what priors expect the posterior's is summed; one that is less than this is told
-# to be none: what is left of it costs more than it gives (decisions/0676).
-_SHARES = np.exp(np.arange(-4.0, 2.1, 0.5))
-_LEAST_SHARE = 0.25
+# Slopes by which an expected one is summed, in units of the prior's; one that is below this share
+# of the prior's is told to be none: what is left of it costs more than it gives (decisions/0676).
+_SLOPES = np.exp(np.arange(-4.0, 2.1, 0.5))
+_LEAST_SLOPE = 0.25
 
 
 def learn(
@@ -101,25 +101,25 @@ def learn(
         visits, found = parted, other
     likeliest = (first,) if found == first else (found, first)
     if planar and any(noise and noise.tilt == 0 for noise in likeliest):
-        slope = expected(visits, "tilt", events.priors.floor_tilt, budget)
-        sway = expected(visits, "sway", events.priors.target_sway, budget)
-        return tuple(untold(n, slope, sway) if n and n.tilt == 0 else n for n in likeliest)
+        slope = expected_slope(visits, events.priors.floor_tilt, budget)
+        return tuple(on_a_floor(n, slope) if n and n.tilt == 0 else n for n in likeliest)
     return likeliest
 
 
-def expected(visits: list[Linear], part: str, prior: float, budget: Budget) -> float:
-    """The root mean square of the floor's slope (`part` tilt, rad) or of the target's sway (sway,
-    m) by its posterior: `prior` where these visits tell nothing, 0 where they show that there is
-    hardly any. As likely as not there is none; else it is exponentially distributed."""
+def expected_slope(visits: list[Linear], prior: float, budget: Budget) -> float:
+    """The root mean square (rad) of the floor's slope by its posterior: `prior` where these visits
+    tell nothing, 0 where they show that there is hardly any. As likely as not a floor is flat; else
+    its slope is exponentially distributed."""
     if prior <= 0:
         return 0.0
-    still = Noise(length=LENGTH, odometry=_FREE, slip=_FREE)
-    each = [still, *(replace(still, **{part: prior * share}) for share in _SHARES.tolist())]
-    costs = np.array([_misfit(visits, noise, budget)[0] for noise in each])
-    density = _SHARES * np.exp(-_SHARES)
+    flat = Noise(odometry=_FREE, slip=_FREE)
+    slopes = prior * _SLOPES
+    floors = [on_a_floor(flat, slope) for slope in [0.0, *slopes]]
+    costs = np.array([_misfit(visits, floor, budget)[0] for floor in floors])
+    density = _SLOPES * np.exp(-_SLOPES)
     weights = np.array([1.0, *density / density.sum()]) * np.exp((costs.min() - costs) / 2)
-    share = math.sqrt(weights[1:] @ _SHARES**2 / weights.sum())
-    return in_steps(prior * share) if share > _LEAST_SHARE else 0.0
+    slope = math.sqrt(weights[1:] @ slopes**2 / weights.sum())
+    return in_steps(slope) if slope > _LEAST_SLOPE * prior else 0.0
 
 
 def _broken_off(visit: Linear, events: Events) -> float:

@@ -44,7 +44,7 @@ from .picture_bytes import fault_in_compressed, fault_in_raw
 
 _BY_CLASS = {codec.message: codec for codec in CODECS}
 _BY_TYPE = {codec.type_name: codec for codec in CODECS}
-_LAYOUTS: dict[str, Callable[[bytes], Message | None]] = {
+LAYOUTS: dict[str, Callable[[bytes], Message | None]] = {
     ODOMETRY: cdr_layout.odometry,
     SIGHTINGS: cdr_layout.sightings,
     POSE_ESTIMATE: cdr_layout.pose_estimate,
@@ -74,7 +74,7 @@ def encode_by_definition(message: Message) -> bytes:
 
 def decode(type_name: str, payload: bytes) -> Message:
     """Decode CDR bytes; raise MessageError if they are not a valid message of the type."""
-    quickly = _LAYOUTS.get(type_name)
+    quickly = LAYOUTS.get(type_name)
     message = quickly(payload) if quickly else None
     return message if message is not None else decode_by_definition(type_name, payload)
 
@@ -99,7 +99,7 @@ def fault_in(type_name: str, payload: bytes) -> str:
     if type_name not in _BY_TYPE and type_name != RAW_IMAGE:
         return ""
     try:
-        quickly = _LAYOUTS.get(type_name)
+        quickly = LAYOUTS.get(type_name)
         if quickly is not None and quickly(payload) is not None:
             return ""
         found: Any = store().deserialize_cdr(payload, type_name)

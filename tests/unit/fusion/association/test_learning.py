@@ -7,12 +7,13 @@ from support.oracle.sessions import Shape, data_of
 from trigpoint.fusion.association.events import Events
 from trigpoint.fusion.association.learning import learnt_noise
 from trigpoint.fusion.association.memory import Memory
-from trigpoint.fusion.association.noise import PESSIMISTIC, STATED, untold
+from trigpoint.fusion.association.noise import PESSIMISTIC, Noise, on_a_floor
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import Observation
 
 EVENTS = Events()
-UNTOLD = untold(STATED, EVENTS.priors.floor_tilt, EVENTS.priors.target_sway)
+PRIORS = EVENTS.priors
+UNTOLD = on_a_floor(Noise(sway=PRIORS.target_sway), PRIORS.floor_tilt)
 SHAPE = Shape(0, (0, 1, 0), is_alike=False)
 
 

@@ -11,9 +11,9 @@ from trigpoint.fusion.association.budget import Budget
 from trigpoint.fusion.association.events import Events
 from trigpoint.fusion.association.linear import Linear
 from trigpoint.fusion.association.noise import STATED, Noise
-from trigpoint.fusion.association.variances import corner_scale, expected, learn
+from trigpoint.fusion.association.variances import corner_scale, expected_slope, learn
 
-SLOPE, SWAY = Events().priors.floor_tilt, Events().priors.target_sway
+SLOPE = Events().priors.floor_tilt
 
 
 def visit(seed: int, noise: Noise, pictures: int = 12, at_a_stop: int = 1) -> Linear:
@@ -46,7 +46,7 @@ def test_noise_as_stated_stays_as_stated() -> None:
     for seed in range(6):
         (found,) = learn([visit(10 * seed + n, Noise()) for n in range(6)], Events())
         assert found is not None
-        changed += replace(found, sway=0.0) != STATED  # so much sway such pictures do not tell
+        changed += found != STATED
     assert changed <= 1  # one session in a hundred thinks otherwise
 
 
@@ -93,8 +93,8 @@ def test_odometry_that_jumps_in_every_visit_is_noisy() -> None:
 
 def test_floor_is_as_by_its_prior_where_every_camera_saw_one_place() -> None:
     visits = [visit(seed, Noise(), at_a_stop=12) for seed in range(6)]
-    assert expected(visits, "tilt", SLOPE, Budget()) == pytest.approx(SLOPE, rel=0.06)
-    assert expected(visits, "tilt", 0.0, Budget()) == 0.0
+    assert expected_slope(visits, SLOPE, Budget()) == pytest.approx(SLOPE, rel=0.06)
+    assert expected_slope(visits, 0.0, Budget()) == 0.0
     (found,) = learn(visits, Events())
     assert found is not None
     assert found.tilt == pytest.approx(SLOPE, rel=0.06)
@@ -104,14 +104,7 @@ def test_floor_is_as_by_its_prior_where_every_camera_saw_one_place() -> None:
 def test_slope_that_pictures_tell_is_expected(degrees: float) -> None:
     true = Noise(tilt=math.radians(degrees), length=1.0)
     visits = [visit(seed, true) for seed in range(6)]
-    assert expected(visits, "tilt", SLOPE, Budget()) == pytest.approx(true.tilt, rel=0.4)
-
-
-def test_sway_is_as_by_its_prior_where_pictures_hardly_tell() -> None:
-    few = [visit(seed, Noise(), pictures=2) for seed in range(6)]
-    assert expected(few, "sway", SWAY, Budget()) == pytest.approx(SWAY, rel=0.06)
-    many = [visit(seed, Noise(), pictures=30) for seed in range(6)]
-    assert expected(many, "sway", 20 * SWAY, Budget()) < 5 * SWAY
+    assert expected_slope(visits, SLOPE, Budget()) == pytest.approx(true.tilt, rel=0.4)
 
 
 def test_few_pictures_tell_nothing() -> None:

@@ -95,29 +95,24 @@ def test_a_pose_that_is_not_sound_and_a_stranger_hide_no_other_and_are_counted()
     assert reader.health.total("rejected") == 2
 
 
-@pytest.mark.parametrize("others", [["r2"], []])
-def test_a_pose_that_is_not_given_in_the_map_is_rejected(others: list[str]) -> None:
-    def say(bus: MemoryBus) -> None:
-        put(bus, "r1", 1.0, frame="r1/odom")
-        for robot in others:
-            put(bus, robot, 2.0)
-
-    entities, reader = shown(say)
-    assert "at" not in entities["robot/r1"]
-    assert all(entities[f"robot/{robot}"]["at"] == [2.0, 2.0, 0.5] for robot in others)
-    assert reader.health.total("rejected") == 1
-
-
 @pytest.mark.parametrize(
-    ("x", "variance"), [(1e308, 1e-4), (-1e7, 1e-4), (1.0, 1e308), (1.0, 1e13), (1.0, -1e-4)]
+    ("x", "variance", "frame"),
+    [
+        pytest.param(1.0, 1e-4, "r1/odom", id="not given in the map"),
+        (1e308, 1e-4, "map"),
+        (-1e7, 1e-4, "map"),
+        (1.0, 1e308, "map"),
+        (1.0, 1e13, "map"),
+        (1.0, -1e-4, "map"),
+    ],
 )
 @pytest.mark.parametrize("others", [[], ["r2"]])
 @pytest.mark.filterwarnings("error")
-def test_an_absurd_pose_is_rejected_and_hides_no_other(
-    x: float, variance: float, others: list[str]
+def test_a_pose_elsewhere_or_absurd_is_rejected_and_hides_no_other(
+    x: float, variance: float, frame: str, others: list[str]
 ) -> None:
     def say(bus: MemoryBus) -> None:
-        put(bus, "r1", x, variance=variance)
+        put(bus, "r1", x, variance=variance, frame=frame)
         for robot in others:
             put(bus, robot, 2.0)
 

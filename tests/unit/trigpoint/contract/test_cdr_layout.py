@@ -1,7 +1,5 @@
 """Held against rosbags, which reads the same bytes by the types' definitions."""
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,6 +9,7 @@ from hypothesis.extra.numpy import arrays
 from trigpoint.base.errors import MessageError
 from trigpoint.contract import cdr_layout
 from trigpoint.contract.cdr import (
+    LAYOUTS,
     decode,
     decode_by_definition,
     encode,
@@ -19,11 +18,8 @@ from trigpoint.contract.cdr import (
 )
 from trigpoint.contract.cdr_writing import quickly_written
 from trigpoint.contract.messages import (
-    CAMERA_INFO,
-    DIAGNOSTICS,
     ODOMETRY,
     POSE_ESTIMATE,
-    POSE_STAMPED,
     SIGHTINGS,
     CameraInfo,
     Diagnostics,
@@ -88,18 +84,8 @@ written = st.one_of(
 )
 
 
-BY_LAYOUT: dict[str, Callable[[bytes], Message | None]] = {
-    ODOMETRY: cdr_layout.odometry,
-    SIGHTINGS: cdr_layout.sightings,
-    POSE_ESTIMATE: cdr_layout.pose_estimate,
-    POSE_STAMPED: cdr_layout.pose_stamped,
-    CAMERA_INFO: cdr_layout.camera_info,
-    DIAGNOSTICS: cdr_layout.diagnostics,
-}
-
-
 def by_layout(name: str, payload: bytes) -> Message | None:
-    return BY_LAYOUT[name](payload)
+    return LAYOUTS[name](payload)
 
 
 def is_read(name: str, payload: bytes) -> bool:
