@@ -56,9 +56,9 @@ class Layout(Struct, frozen=True):
 
 class Placed(Struct, frozen=True):
     """A graph at its minimum, with its `score`. `poses` (n, 12): rows of the robots at the
-    beginnings of their visits and of the cameras, as in `layout`; `scales` (2 r,): of its robots in
-    order; `ties`, `breaks`: of its variant; `factor`: of the information matrix, whose rows are
-    those of `layout`."""
+    beginnings of their visits and of the cameras, as in `layout`; `scales` (2 r,): the scale errors
+    of the robots of `layout.scales`, none where they are not known; `ties`, `breaks`: of its
+    variant; `factor`: of the information matrix, whose rows are those of `layout`."""
 
     score: float
     poses: Array
