@@ -27,12 +27,14 @@ class CornerPattern(Struct, frozen=True, eq=False):
     """What a face has around its corners. `points`: (n, 2) corners in the face frame; `reach`: how
     far from a corner along both axes is looked at, metres; `outward`: (n, 2) signs of the axes'
     directions of a sector that may be printed or not (Kalibr has squares there), 0 without one;
-    `core`: the same with its prints, for the core."""
+    `outline`: (4, 2) the pattern's outer corners in the face frame; `core`: all this with its
+    prints, for the core."""
 
     face: Face
     points: Array
     reach: float
     outward: Array
+    outline: Array
     core: Print
 
     @classmethod
@@ -48,7 +50,8 @@ class CornerPattern(Struct, frozen=True, eq=False):
                     [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]], (len(points) // 4, 1)
                 )
             reach = min(0.5 * (face.marker or 0.0), face.square - (face.marker or 0.0))
-        return cls(face, points, reach, outward, _core(face, points, outward, reach))
+        outline = np.ascontiguousarray(face.outline[:, :2])
+        return cls(face, points, reach, outward, outline, _core(face, points, outward, reach))
 
 
 def _core(face: Face, points: Array, outward: Array, reach: float) -> Print:

@@ -123,8 +123,7 @@ def placed_again(
     there = found_by_template(grey, pattern, fit, reach_px)
     if there is None:
         return None
-    outline = pattern.face.outline[:, :2]
-    aside = np.linalg.norm(there.project(outline) - fit.project(outline), axis=1)
+    aside = there.residuals(pattern.outline, fit.project(pattern.outline))
     return there, median(aside) > SURE_PX
 
 

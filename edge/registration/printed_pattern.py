@@ -27,19 +27,6 @@ class PrintedPattern(Struct, frozen=True, eq=False):
     scale: float
     offset: Array
 
-    @property
-    def texel_from_face(self) -> Array:
-        """The same as a homography (3, 3)."""
-        x, y = self.offset.tolist()
-        return np.array([[self.scale, 0, x], [0, self.scale, y], [0, 0, 1.0]])
-
-
-def printed_pattern_of(face: Face, square_px: float) -> PrintedPattern:
-    """The pattern whose texels are about a pixel where a square takes `square_px` pixels."""
-    return printed_patterns(face)[
-        min(int(np.searchsorted(LEVELS, 0.8 * square_px)), len(LEVELS) - 1)
-    ]
-
 
 @cache
 def charuco_layout(face: Face) -> Array:

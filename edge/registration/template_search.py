@@ -7,11 +7,11 @@ import cv2
 import numpy as np
 
 from trigpoint.geometry.rotation import Array
+from trigpoint.native.library import In, Kernel, Out
 
-from .corner_pattern import CornerPattern
-from .planar_fit import PlanarFit
+from .corner_pattern import CornerPattern, Print
+from .planar_fit import FIT, PlanarFit
 from .plane_fitting import fit_plane
-from .printed_pattern import printed_pattern_of
 
 # The drawing's longer side at most, and of a square at least, in its own pixels.
 MOST_SIDE = 40
@@ -20,6 +20,16 @@ LEAST_SQUARE = 3.0
 LEAST_MATCH = 0.35
 # A face larger than so many pictures is not looked for; it was not projected in earnest.
 _MOST_SIZES = 1.5
+_DRAWN = Kernel(
+    "tp_face_drawn",
+    Print,
+    In(np.float64, (FIT,)),
+    In(np.float64, (2,)),
+    float,
+    float,
+    In(np.float64, (4, 2)),
+    Out(np.float32, ("h", "w")),
+)
 
 
 def found_by_template(
@@ -27,7 +37,7 @@ def found_by_template(
 ) -> PlanarFit | None:
     """Where a face lies that should lie where `fit` has it, or up to `reach_px` beside that: to a
     pixel or so; None where it is not to be seen."""
-    outline = fit.project(pattern.face.outline[:, :2])
+    outline = fit.project(pattern.outline)
     low, size = np.floor(outline.min(axis=0)), np.ptp(outline, axis=0)
     if not np.all(size < _MOST_SIZES * np.array(grey.shape[::-1])) or size.min() < LEAST_SQUARE:
         return None
@@ -35,7 +45,8 @@ def found_by_template(
     step = max(1, min(round(float(size.max()) / MOST_SIDE), int(square_px / LEAST_SQUARE)))
     cells = np.ceil(size / step).astype(int) + 1
     reach = int(np.ceil(reach_px / step))
-    drawn = _drawn(pattern, fit, outline, low, step, cells, square_px / step)
+    drawn = np.empty(cells[::-1], np.float32)
+    _DRAWN(pattern.core, fit.packed, low, step, square_px / step, pattern.outline, drawn)
     # The part begins so many cells before the drawing's place; what is outside the picture is grey.
     part = _part(grey, (low - step * reach).astype(int), step * (cells + 2 * reach))
     small = cv2.resize(part, tuple((cells + 2 * reach).tolist()), interpolation=cv2.INTER_AREA)
@@ -47,33 +58,6 @@ def found_by_template(
     points = pattern.points
     size_px = (grey.shape[1], grey.shape[0])
     return fit_plane(points, fit.project(points) + offset, size_px, has_lens=False, start=fit)
-
-
-def _drawn(
-    pattern: CornerPattern,
-    fit: PlanarFit,
-    outline: Array,
-    low: Array,
-    step: int,
-    cells: np.ndarray,
-    square: float,
-) -> np.ndarray:
-    """The face as it should look, (h, w) float32, each cell the mean of 2 x 2 places, a `square` of
-    so many cells; what is outside of it has its mean brightness."""
-    places = [
-        np.float32(start - 0.5) + (np.arange(2 * count, dtype=np.float32) + 0.5) * step / 2
-        for start, count in zip(low, cells, strict=True)
-    ]
-    printed = printed_pattern_of(pattern.face, 2 * square)
-    texels = fit.points(places[0][None, :], places[1][:, None], printed.texel_from_face)
-    shown = cv2.remap(printed.texels, *texels, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    drawn = cv2.resize(shown, tuple(cells.tolist()), interpolation=cv2.INTER_AREA)
-    inside = np.zeros(drawn.shape, np.uint8)
-    corners = np.rint((outline - low + 0.5) / step - 0.5).astype(np.int32)
-    cv2.fillConvexPoly(inside, corners, (1,))
-    drawn = drawn.astype(np.float32)
-    drawn[inside == 0] = drawn[inside > 0].mean() if inside.any() else 0.0
-    return drawn
 
 
 def _part(grey: np.ndarray, low: np.ndarray, size: np.ndarray) -> np.ndarray:

@@ -23,14 +23,6 @@ constexpr int BEYOND = LATTICE * WIDTH + EDGE;
 // A drawing on the lattice, row after row.
 using Drawing = std::array<float, MOST_SIDE * MOST_SIDE + BEYOND>;
 
-struct Texels {
-    Eigen::Matrix3d from_face;
-
-    explicit Texels(const Print& print) {
-        from_face << print.scale, 0, print.offset.x(), 0, print.scale, print.offset.y(), 0, 0, 1;
-    }
-};
-
 // The places of a row on a print: from the first one on, each at the next whole number.
 struct Line {
     Eigen::Vector2f begin, slope, bend;
@@ -217,6 +209,10 @@ Print::Print(const Grey& texels, double a_scale, const Eigen::Vector2d& an_offse
     }
 }
 
+Eigen::Matrix3d Print::from_face() const {
+    return Eigen::Matrix3d{{scale, 0, offset.x()}, {0, scale, offset.y()}, {0, 0, 1}};
+}
+
 // So near a corner a map is quadratic in the pixels, to a thousandth: the one of least squares
 // through nine places, at `STENCIL` of a patch's half to all sides.
 struct Drawer::Quadratic {
@@ -278,7 +274,7 @@ Drawer::Drawer(const PartOfPicture& part, const CornerPattern& pattern, const Pl
         std::clamp(std::ceil(longest), double(LEAST_HALF_PX), double(MOST_HALF_PX)));
     const double reach_px = reaches.empty() ? 1 : median(reaches);
     print_ = &pattern.print_for(reach_px / pattern.reach * pattern.square);
-    texel_from_pixel_ = Unprojection(fit, Texels(*print_).from_face);
+    texel_from_pixel_ = Unprojection(fit, print_->from_face());
 }
 
 void Drawer::draw(int id, const Eigen::Vector2d& pixel, const Eigen::Vector2d& nearest,

@@ -28,6 +28,9 @@ struct Print {
     Eigen::Vector2d offset;
 
     Print(const Grey& texels, double scale, const Eigen::Vector2d& offset);
+
+    // From face points to texels, as a homography.
+    Eigen::Matrix3d from_face() const;
 };
 
 // What a face has around its corners. `points`: in the face frame; `outward`: signs of the axes'
