@@ -63,9 +63,8 @@ class Pipeline:
         self.site, self.inputs = inputs.site, inputs
         data = self._data = inputs.data_set()
         shared = RobotIdentification(data)
-        found = estimating(data, solver, fixed, shared.forget)
-        self._estimator, self._follower = found.estimator, found.follower
-        self.reports = found.reports
+        self._estimator, self.reports = estimating(data, solver, fixed, shared.forget)
+        self._follower = self.reports if isinstance(self.reports, Follower) else None
         self._intake = Intake(
             inputs.site, inputs.targets, shared=shared, standstills=Standstills(data.tracks)
         )

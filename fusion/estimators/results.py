@@ -57,8 +57,9 @@ def map_id_of(data: DataSet) -> UUID | None:
     return uuid5(NAMESPACE_URL, f"trigpoint:{data.site.name}/{first}/{since_ns}")
 
 
-def results_of(data: DataSet, estimator: Estimator, map_id: UUID | None) -> Results:
+def results_of(data: DataSet, estimator: Estimator) -> Results:
     """Collect everything that is known now."""
+    map_id = map_id_of(data)
     located, undetermined = estimator.cameras(), estimator.undetermined()
     cameras = {
         name: _camera(data, estimator, name, located.get(name), undetermined.get(name))

@@ -10,16 +10,12 @@ from collections.abc import Callable
 
 from trigpoint.base.clock import to_ns
 from trigpoint.base.words import counted
-from trigpoint.fusion.estimators.interface import CameraEstimate, Trajectory, Update
-from trigpoint.fusion.estimators.residuals import CameraResiduals
-from trigpoint.fusion.estimators.results import Results
+from trigpoint.fusion.estimators.interface import CameraEstimate, Live, Update
 from trigpoint.fusion.model.dataset import CameraMove, Conclusions, DataSet
 from trigpoint.fusion.model.known_cameras import KnownCameras
 from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.model.readings import Readings
 from trigpoint.fusion.solver.filter import RobotEstimate
-from trigpoint.fusion.solver.snapshot import GuidanceWorld
-from trigpoint.geometry import Pose
 
 from .network import FixedNetwork
 from .placing import Placing
@@ -30,8 +26,8 @@ MOST_ODOMETRY = 4096
 _WIDENED_EVERY_NS = to_ns(3600.0)
 
 
-class FixedMap:
-    """See `Live` and `Reports`. Not thread-safe. `forget`: called where the odometry's past was
+class FixedMap(Live):
+    """See `Live`. Not thread-safe. `forget`: called where the odometry's past was
     dropped, for others to drop what refers to it."""
 
     def __init__(self, data: DataSet, fixed: FixedNetwork, forget: Callable[[], None]) -> None:
@@ -42,8 +38,6 @@ class FixedMap:
         self._cameras = fixed.known
         self._estimates: dict[str, CameraEstimate] = {}
         self._contradictions: Counter[str] = Counter()
-        self.is_answered = self.is_final = self.has_results = True
-        self.solution = None
 
     # -- input ------------------------------------------------------------------------------------
 
@@ -128,14 +122,6 @@ class FixedMap:
     def robot(self, robot: str) -> RobotEstimate | None:
         return self._placings[robot].estimate()
 
-    def particles(self, robot: str) -> Pose | None:
-        assert robot in self.data.site.robots
-        return None
-
-    def trajectory(self, robot: str) -> Trajectory | None:
-        assert robot in self.data.site.robots
-        return None  # the past is not kept
-
     def cameras(self) -> dict[str, CameraEstimate]:
         if not self._estimates:
             self._estimates = self.fixed.estimates(self._cameras)
@@ -150,18 +136,3 @@ class FixedMap:
     @property
     def located_count(self) -> int:
         return len(self.fixed.known.poses)
-
-    def guidance_world(self) -> GuidanceWorld | None:
-        return None  # nothing is to be improved
-
-    def residuals(self, camera: str) -> CameraResiduals | None:
-        assert camera in self.data.site.cameras
-        return None
-
-    # -- results ----------------------------------------------------------------------------------
-
-    def ask(self) -> None:
-        """The results are there."""
-
-    def results(self) -> Results:
-        return self.fixed.results

@@ -17,8 +17,7 @@ from numpy.linalg import LinAlgError
 
 from trigpoint.base.clock import to_ns
 from trigpoint.base.errors import OperationError
-from trigpoint.fusion.estimators.interface import CameraEstimate, Trajectory, Update
-from trigpoint.fusion.estimators.residuals import CameraResiduals
+from trigpoint.fusion.estimators.interface import CameraEstimate, Live, Update
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.estimators.smoother.current_filter import CurrentFilter
 from trigpoint.fusion.model.dataset import CameraMove, DataSet, Entry, Event
@@ -26,8 +25,6 @@ from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.model.odometry import Added
 from trigpoint.fusion.model.readings import Readings
 from trigpoint.fusion.solver.filter import RobotEstimate
-from trigpoint.fusion.solver.snapshot import GuidanceWorld
-from trigpoint.geometry import Pose
 
 from .solver_messages import (
     Covered,
@@ -67,10 +64,10 @@ class _Coming(Struct):
     missing: deque[Observation]
 
 
-class Follower:
-    """A `Live` estimator whose `Reports` come with a solver's news. Not thread-safe. `forget`:
-    called where the odometry's past was dropped, for others to drop what refers to it. `solution`:
-    the solver's last one, None before it; another thread may read it."""
+class Follower(Live):
+    """See `Live`; its results come with a solver's news. Not thread-safe. `forget`: called where
+    the odometry's past was dropped, for others to drop what refers to it. `solution`: the solver's
+    last one, None before it; another thread may read it."""
 
     def __init__(self, data: DataSet, solver: Solver, forget: Callable[[], None]) -> None:
         self.data, self._solver, self._forget = data, solver, forget
@@ -273,13 +270,17 @@ class Follower:
 
     @property
     def has_results(self) -> bool:
+        """Whether there are any."""
         return self._reported is not None
 
     @property
     def is_final(self) -> bool:
+        """Whether the results are those of everything, solved to the end."""
         return self._reported is not None and self._reported.is_final
 
     def results(self) -> Results:
+        """The network with covariance and trajectories, as last reported; raise OperationError
+        where there are none yet."""
         if self._reported is None:
             raise OperationError("there is no solution yet; ask again in a moment")
         return self._reported.results
@@ -288,21 +289,6 @@ class Follower:
 
     def robot(self, robot: str) -> RobotEstimate | None:
         return self._current.robot(robot)
-
-    def particles(self, robot: str) -> Pose | None:
-        assert robot in self.data.site.robots
-        return None
-
-    def trajectory(self, robot: str) -> Trajectory | None:
-        assert robot in self.data.site.robots
-        return None  # the solver has it
-
-    def guidance_world(self) -> GuidanceWorld | None:
-        return None  # the solver asks itself
-
-    def residuals(self, camera: str) -> CameraResiduals | None:
-        assert camera in self.data.site.cameras
-        return None
 
     def cameras(self) -> dict[str, CameraEstimate]:
         return self._current.cameras()

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from numpy.linalg import LinAlgError
 
-from trigpoint.fusion.estimators.results import map_id_of, results_of
+from trigpoint.fusion.estimators.results import results_of
 from trigpoint.fusion.estimators.smoother.settled_past import LIVE, Limits
 from trigpoint.fusion.estimators.smoother.smoother import Smoother
 from trigpoint.fusion.model.dataset import DataSet, Event
@@ -97,8 +97,7 @@ class SolverWorker:
 
     def report(self, *, is_final: bool = False) -> Reported:
         """The results as they are known now."""
-        results = results_of(self._data, self._smoother, map_id_of(self._data))
-        return Reported(self._orders, is_final, results)
+        return Reported(self._orders, is_final, results_of(self._data, self._smoother))
 
     def guidance_world(self) -> GuidanceWorld | None:
         """See `Smoother`."""

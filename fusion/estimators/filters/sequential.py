@@ -14,13 +14,17 @@ from trigpoint.fusion.association.explanation import Alternative
 from trigpoint.fusion.estimators.change_reports import report_changes
 from trigpoint.fusion.estimators.explained_data import explained, left_open
 from trigpoint.fusion.estimators.explainer import Explainer
-from trigpoint.fusion.estimators.interface import CameraCount, CameraEstimate, Trajectory, Update
-from trigpoint.fusion.estimators.residuals import CameraResiduals
+from trigpoint.fusion.estimators.interface import (
+    CameraCount,
+    CameraEstimate,
+    Live,
+    Trajectory,
+    Update,
+)
 from trigpoint.fusion.model.dataset import CameraMove, DataSet, Entry
 from trigpoint.fusion.model.observations import Observation, Verdict, base_from_faces
 from trigpoint.fusion.model.readings import Readings
 from trigpoint.fusion.solver.filter import RobotEstimate, carried_on, is_placed
-from trigpoint.fusion.solver.snapshot import GuidanceWorld
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
@@ -29,7 +33,7 @@ from .history import Step, chi2_per_dof, contradictions, nodes_of, poses_at, rms
 from .replay import Replay
 
 
-class SequentialEstimator:
+class SequentialEstimator(Live):
     """See `Estimator`. `origin`: the filter state before any sighting."""
 
     def __init__(self, data: DataSet, origin: Callable[[DataSet], FilterState]) -> None:
@@ -212,10 +216,3 @@ class SequentialEstimator:
     @property
     def chi2_per_dof(self) -> float | None:
         return chi2_per_dof(self._replay.steps) if self._replay is not None else None
-
-    def guidance_world(self) -> GuidanceWorld | None:
-        return None  # a filter keeps no problem to ask
-
-    def residuals(self, camera: str) -> CameraResiduals | None:
-        assert camera in self.data.site.cameras
-        return None
