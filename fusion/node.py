@@ -31,7 +31,6 @@ from .inbox import Inbox
 from .intake.admission import Admission
 from .last_solution import WRITING_S, save_last
 from .live.coverage_thread import CoverageThread
-from .live.guidance_thread import GuidanceThread
 from .live.solver_messages import Solver
 from .map_storage import MapStorage, Stored
 from .model.inputs import Inputs
@@ -41,7 +40,6 @@ from .pipeline_maker import PipelineMaker
 from .publishing import Publishing
 from .replaying import Replay
 from .solution_file import SolutionFile
-from .solver.snapshot import GuidanceWorld
 
 KIND = "fusion"
 NAME = "fusion"
@@ -56,8 +54,8 @@ _LAST_TAKING_NS = to_ns(0.25)
 _READ_AT_ONCE = 1024
 # A turn of a filter that has fallen behind on a small machine; beyond it the thread is hung.
 _TURN_MOST_S = 60.0
-# One robot's suggestions among a hundred cameras, on a small machine.
-_GUIDE_S = 120.0
+# A map of corrections among a hundred cameras, on a small machine.
+_COVER_S = 120.0
 
 _log = logging.getLogger(__name__)
 
@@ -118,12 +116,9 @@ class FusionNode:
         self._node.work("estimates", self._run, within_s=_TURN_MOST_S)
         stopping = self._node.stopping
         self._node.work("keeps", lambda p: self._solution.run(p, stopping), within_s=_TURN_MOST_S)
-        if not self._maker.makes_solvers:  # a solver also makes the suggestions
-            guide = GuidanceThread(self._bus, self._node, name, self._guidance_world)
-            self._node.work("guides", guide.run, within_s=_GUIDE_S)
         announced = AnnouncedMap(self._site, self._inputs.targets)
         cover = CoverageThread(self._bus, self._node, name, announced, self._covered)
-        self._node.work("covers", cover.run, within_s=_GUIDE_S)
+        self._node.work("covers", cover.run, within_s=_COVER_S)
 
     def finish(self) -> None:
         """Write the results, solved to the end where that is quick enough for a stop, after the
@@ -213,10 +208,6 @@ class FusionNode:
         lost = self._open_storage.store(sample.key, sample.payload, message)
         if lost:
             self._node.health.lose("checkpoint", lost)
-
-    def _guidance_world(self) -> GuidanceWorld | None:
-        with self._lock:
-            return self._pipeline.guidance_world()
 
     def _covered(self) -> Results | None:
         """What the map of corrections is made of; None where a solver makes it, or of nothing."""

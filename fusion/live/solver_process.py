@@ -259,8 +259,12 @@ def _guide(world: Callable[[], GuidanceWorld | None], say: Callable[[News], None
     while True:
         time.sleep(_GUIDANCE_PERIOD_S)
         known = world()
-        for robot in known.robots if known is not None else ():
-            assert known is not None
-            for found in suggestions(known, robot):
-                stamp_ns = known.robots[robot].stamp_ns
-                say(Suggested(robot, stamp_ns, found.map_from_base))
+        for found in suggested(known) if known is not None else ():
+            say(found)
+
+
+def suggested(known: GuidanceWorld) -> Iterator[Suggested]:
+    """Where each robot should go next."""
+    for robot, place in known.robots.items():
+        for found in suggestions(known, robot):
+            yield Suggested(robot, place.stamp_ns, found.map_from_base)
