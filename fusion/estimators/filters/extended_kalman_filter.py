@@ -20,18 +20,20 @@ from msgspec.structs import replace
 from trigpoint.base.clock import to_ns, to_seconds
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.motion import odometry_step
+from trigpoint.fusion.model.odometry import OdometryTrack
 from trigpoint.fusion.model.problem import CameraState
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.uncertainty import relative_jacobians, symmetric
 
-from .filter_state import Innovation, ReadSighting, velocity
+from .filter_state import Innovation, ReadSighting
 from .kalman_state import KalmanState, Part
 from .pose_errors import disturbance_by_twist, twist_between, twist_by_disturbance
 from .relative_pose import RelativeView, relative_view
 from .sequential import SequentialEstimator
 
 _MOST_ITERATIONS = 5
+_VELOCITY_WINDOW_NS = to_ns(0.02)
 # An iteration that moves nothing by more than this many of its sigmas is the last.
 _SETTLED = 0.02
 
@@ -88,48 +90,39 @@ class KalmanFilterState(KalmanState, frozen=True):
     def updated(
         self, data: DataSet, sighting: ReadSighting
     ) -> tuple["KalmanFilterState", Innovation] | None:
-        """Iterate over the parts that the sighting bears on; the rest follows by its covariance."""
+        """Iterate about where the sighting puts the robot, not where odometry does."""
         if sighting.places_robot:
             return self._with_robot(data, sighting)
-        parts = _parts_of(sighting)
-        near = self.only(parts)
-        # The first linearisation is where the sighting puts the robot, not where odometry does.
-        error = near._error_at(sighting)
-        update = view = jacobian = None
+        robot, error = sighting.observation.robot, np.zeros(len(self.covariance))
+        twist = twist_between(self.poses[robot], sighting.map_from_base)
+        error[self.columns["last", robot]] = twist[self.tangents[robot]]
+        update = view = None
         for _ in range(_MOST_ITERATIONS):
-            there = near.moved(error)
+            there = self.moved(error)
             view = there._view(data, sighting)
             if view is None:
                 return None
             jacobian = there._jacobian(data, sighting, view)
-            update = _Update.by(near.covariance, jacobian, view.residual - jacobian @ error)
+            update = _Update.by(self.covariance, jacobian, view.residual - jacobian @ error)
             step, error = update.error - error, update.error
             if np.all(np.abs(step) <= _SETTLED * update.sigmas + 1e-9):
                 break
         assert update is not None
         assert view is not None
-        assert jacobian is not None
-        after = self._followed(update, jacobian, self.of(parts))
-        seen = after._view(data, sighting)
-        return after, _innovation(seen, view, update.chi2, len(view.residual))
+        return self._followed(data, sighting, update, view)
 
     def _followed(
-        self, update: "_Update", jacobian: Array, columns: np.ndarray
-    ) -> "KalmanFilterState":
-        """The whole state after an update (k equations) of some of its columns."""
-        gain = update.whitened_gain(self.covariance[:, columns] @ jacobian.T)
+        self, data: DataSet, sighting: ReadSighting, update: "_Update", view: RelativeView
+    ) -> tuple["KalmanFilterState", Innovation]:
+        """The state after an update by a sighting, which `view` was before."""
         # A product with its own transpose is half the work, and symmetric to the last bit.
-        covariance = gain @ gain.T
+        covariance = update.gain @ update.gain.T
         np.subtract(self.covariance, covariance, out=covariance)
-        return replace(self.moved(gain @ update.innovation), covariance=covariance)
-
-    def _error_at(self, sighting: ReadSighting) -> Array:
-        """The error (n,) that puts the robot where the sighting does."""
-        robot = sighting.observation.robot
-        error = np.zeros(len(self.covariance))
-        twist = twist_between(self.poses[robot], sighting.map_from_base)
-        error[self.columns["last", robot]] = twist[self.tangents[robot]]
-        return error
+        after = replace(self.moved(update.error), covariance=covariance)
+        rms_px = (after._view(data, sighting) or view).rms_px
+        chi2, freedom = update.chi2, update.gain.shape[1]
+        total, of_all = chi2 + view.left_over, freedom + view.freedom
+        return after, Innovation(chi2, freedom, total, of_all, rms_px)
 
     def _with_robot(
         self, data: DataSet, sighting: ReadSighting
@@ -163,34 +156,19 @@ class KalmanFilterState(KalmanState, frozen=True):
         view = ready._view(data, sighting)
         if view is None or not view.determines_pose:
             return None
-        rest = ready.of([other for other in _parts_of(sighting) if other != part])
-        near = ready.only(_parts_of(sighting))
-        jacobian = near._jacobian(data, sighting, view)
-        new = near.columns[part]
+        jacobian, new = ready._jacobian(data, sighting, view), ready.columns[part]
         basis, root = np.linalg.qr(jacobian[:, new], mode="complete")
-        turned = basis.T @ np.delete(jacobian, new, axis=1)
+        turned = basis.T @ jacobian
+        turned[:, new] = 0.0
         residual, inverse = basis.T @ view.residual, np.linalg.inv(root[:count])
-        placed = ready._placed(part, rest, -inverse @ turned[:count], -inverse @ residual[:count])
-        placed.covariance[ready.columns[part], ready.columns[part]] += inverse @ inverse.T
-        lower = len(residual) - count
-        if lower == 0:
-            return placed, _innovation(placed._view(data, sighting), view, 0.0, 0)
-        prior = placed.covariance[np.ix_(rest, rest)]
-        update = _Update.by(prior, turned[count:], residual[count:])
-        after = placed._followed(update, turned[count:], rest)
-        return after, _innovation(after._view(data, sighting), view, update.chi2, lower)
-
-    def _placed(
-        self, part: Part, rest: np.ndarray, by_rest: Array, error: Array
-    ) -> "KalmanFilterState":
-        """Set a part's error to `error` (k,) + by_rest (k, m) · that of some columns (m,)."""
-        columns, covariance = self.columns[part], self.covariance.copy()
-        whole = np.zeros(len(covariance))
-        whole[columns] = error
-        rows = by_rest @ covariance[rest]
-        covariance[columns], covariance[:, columns] = rows, rows.T
-        covariance[columns, columns] = rows[:, rest] @ by_rest.T
-        return replace(self.moved(whole), covariance=symmetric(covariance))
+        by_rest, error = -inverse @ turned[:count], np.zeros(len(ready.covariance))
+        error[new] = -inverse @ residual[:count]
+        rows, covariance = by_rest @ ready.covariance, ready.covariance.copy()
+        covariance[new], covariance[:, new] = rows, rows.T
+        covariance[new, new] = rows @ by_rest.T + inverse @ inverse.T
+        placed = replace(ready.moved(error), covariance=symmetric(covariance))
+        update = _Update.by(placed.covariance, turned[count:], residual[count:])
+        return placed._followed(data, sighting, update, view)
 
     # -- how a sighting follows the state ---------------------------------------------------------
 
@@ -203,7 +181,7 @@ class KalmanFilterState(KalmanState, frozen=True):
         pose, node_ns = self.poses[robot], self.stamps_ns[robot]
         if ("offset", camera) not in self.columns:
             return pose, np.zeros(6)
-        moving = velocity(data.tracks[robot], pose, node_ns, self.scales(robot))
+        moving = _velocity(data.tracks[robot], pose, node_ns, self.scales(robot))
         after_s = to_seconds(sighting.observation.stamp_ns - node_ns)
         return pose.disturbed(moving * (after_s - self.states[camera].time_offset_s)), moving
 
@@ -238,21 +216,27 @@ class KalmanFilterState(KalmanState, frozen=True):
         return jacobian
 
 
-def _parts_of(sighting: ReadSighting) -> list[Part]:
-    """The parts of the error that a sighting bears on."""
-    camera, robot = sighting.observation.camera, sighting.observation.robot
-    return [("last", robot), ("pose", camera), ("offset", camera)]
+def _velocity(track: OdometryTrack, map_from_base: Pose, stamp_ns: int, scales: Array) -> Array:
+    """A robot's velocity at a moment, as the disturbance per second, (…, 6), in the map's axes."""
+    begin = max(stamp_ns - _VELOCITY_WINDOW_NS, track.first_ns)
+    end = min(stamp_ns + _VELOCITY_WINDOW_NS, track.last_ns)
+    if end <= begin:
+        return np.zeros((*map_from_base.translation.shape[:-1], 6))
+    motion = track.motion(np.array([begin, end]), scales).earlier_from_later[0]
+    moved = (map_from_base @ motion).difference(map_from_base)
+    return moved / to_seconds(end - begin)
 
 
 class _Update(Struct, frozen=True):
-    """What equations say of an error that was zero with a covariance P (m, m): residual (k,) +
-    J (k, m) · error = noise of unit variance. `root`: L (k, k) of S = 1 + J P Jᵀ = L Lᵀ;
-    `innovation`: (k,), whitened by it; `error`, `sigmas`: (m,) after the update (Kalman, 1960)."""
+    """What equations say of an error that was zero with a covariance P (n, n): residual (k,) +
+    J (k, n) · error = noise of unit variance. `error`, `sigmas`: (n,) after the update; `gain`:
+    (n, k) by the innovation whitened by L of S = 1 + J P Jᵀ = L Lᵀ, of which `chi2` is the square
+    (Kalman, 1960)."""
 
-    root: Array
-    innovation: Array
     error: Array
     sigmas: Array
+    gain: Array
+    chi2: float
 
     @classmethod
     def by(cls, covariance: Array, jacobian: Array, residual: Array) -> Self:
@@ -261,20 +245,5 @@ class _Update(Struct, frozen=True):
         root = np.linalg.cholesky(np.eye(len(residual)) + jacobian @ spread)
         innovation = np.linalg.solve(root, -residual)
         gain = np.linalg.solve(root, spread.T).T
-        variances = np.diagonal(covariance) - np.sum(gain**2, axis=1)
-        return cls(root, innovation, gain @ innovation, np.sqrt(np.abs(variances)))
-
-    def whitened_gain(self, spread: Array) -> Array:
-        """The gain by the whitened innovation, (n, k), of unknowns of which P Jᵀ is (n, k)."""
-        return np.linalg.solve(self.root, spread.T).T
-
-    @property
-    def chi2(self) -> float:
-        return float(self.innovation @ self.innovation)
-
-
-def _innovation(
-    after: RelativeView | None, view: RelativeView, chi2: float, freedom: int
-) -> Innovation:
-    rms_px = after.rms_px if after is not None else view.rms_px
-    return Innovation(chi2, freedom, chi2 + view.left_over, freedom + view.freedom, rms_px)
+        sigmas = np.sqrt(np.abs(np.diagonal(covariance) - np.sum(gain**2, axis=1)))
+        return cls(gain @ innovation, sigmas, gain, float(innovation @ innovation))

@@ -24,12 +24,13 @@ from trigpoint.fusion.estimators.interface import (
 from trigpoint.fusion.model.dataset import CameraMove, DataSet, Entry
 from trigpoint.fusion.model.observations import Observation, Verdict, base_from_faces
 from trigpoint.fusion.model.readings import Readings
+from trigpoint.fusion.model.trajectory import interpolated
 from trigpoint.fusion.solver.filter import RobotEstimate, carried_on, is_placed
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
-from .filter_state import FilterState
-from .history import Step, chi2_per_dof, contradictions, nodes_of, poses_at, rms_px
+from .contradictions import Step, contradictions
+from .filter_state import FilterState, Innovation
 from .replay import Replay
 
 
@@ -195,17 +196,36 @@ class SequentialEstimator(Live):
             return CameraCount(sightings, 0, None)
         used = sum(entry.observation.used_views for entry in entries)
         rejected = sightings - used if self._replay.is_located(camera) else 0
-        return CameraCount(sightings, rejected, rms_px(self.data, self._replay.steps, camera))
+        squares = [innovation.rms_px**2 for innovation in self._innovations(camera)]
+        rms_px = float(np.sqrt(np.mean(squares))) if squares else None
+        return CameraCount(sightings, rejected, rms_px)
+
+    def _innovations(self, camera: str | None = None) -> list[Innovation]:
+        """Those of the used sightings, of all cameras or of one."""
+        return [
+            step.innovation
+            for step in (self._replay.steps if self._replay is not None else ())
+            if step.innovation is not None
+            and camera in (None, self.data.entries[step.entry].observation.camera)
+        ]
 
     def trajectory(self, robot: str) -> Trajectory | None:
         if self._replay is None:
             return None
-        stamps_ns = self.data.tracks[robot].stamps_ns
-        nodes = nodes_of(self.data, self._replay.steps, robot)
+        track = self.data.tracks[robot]
+        is_origin = robot == self.data.anchored_robot and len(track)
+        nodes = {track.first_ns: track.odom_from_base[0]} if is_origin else {}
+        for step in self._replay.steps:
+            is_mine = self.data.entries[step.entry].observation.robot == robot
+            if is_mine and step.map_from_base is not None:
+                nodes[step.time_ns] = step.map_from_base
         if not nodes:
             return None
-        poses = poses_at(self.data, self._replay.filter_state, robot, nodes, stamps_ns)
-        return Trajectory(stamps_ns.copy(), poses)
+        nodes_ns, poses = np.array(list(nodes)), Pose.stack(list(nodes.values()))
+        return Trajectory(
+            track.stamps_ns.copy(),
+            interpolated(track, self.scales(robot), nodes_ns, poses, track.stamps_ns),
+        )
 
     def scales(self, robot: str) -> Array:
         return self._replay.filter_state.scales(robot) if self._replay is not None else np.zeros(2)
@@ -215,4 +235,6 @@ class SequentialEstimator(Live):
 
     @property
     def chi2_per_dof(self) -> float | None:
-        return chi2_per_dof(self._replay.steps) if self._replay is not None else None
+        used = self._innovations()
+        freedom = sum(innovation.total_freedom for innovation in used)
+        return sum(innovation.total for innovation in used) / freedom if freedom > 0 else None
