@@ -44,6 +44,8 @@ from .solver_messages import (
     TakeOdometry,
 )
 
+# Without anything new for this long, what came is settled.
+_QUIET_NS = to_ns(2.0)
 # An observation that comes later than this after its moment is passed on after later ones.
 _MOST_HELD_S = 2.0
 # How many sightings a new filter is brought on by in a turn in which none came.
@@ -87,6 +89,7 @@ class Follower(Live):
         self._located: tuple[str, ...] = ()
         self._came, self._came_before = 0, 0
         self._reported: Reported | None = None
+        self._new_ns, self._is_settled = 0, True
         self._has_new_camera = False
 
     # -- input ------------------------------------------------------------------------------------
@@ -236,10 +239,17 @@ class Follower(Live):
         self._told += 1
         self._unsolved_ns.append(observation.stamp_ns)
 
-    @property
-    def is_idle(self) -> bool:
-        """Whether the solver has answered everything."""
-        return not self._asked or self.is_answered
+    def is_to_settle(self, now_ns: int, *, is_new: bool) -> bool:
+        """Whether all of it is to be explained and solved now, as `calibrate` does it; called at
+        every turn, with whether anything new came in it. While more comes, the solver does that by
+        itself, whenever there is enough that is new to it."""
+        if is_new:
+            self._new_ns, self._is_settled = now_ns, False
+        is_idle = not self._asked or self.is_answered
+        if self._is_settled or not is_idle or now_ns - self._new_ns <= _QUIET_NS:
+            return False
+        self._is_settled = True
+        return True
 
     def camera_moved(self, move: CameraMove) -> None:
         if self.data.tell(move):
