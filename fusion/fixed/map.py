@@ -8,11 +8,12 @@ sighting do not depend on how long that goes on.
 from collections import Counter
 from collections.abc import Callable
 
+from msgspec.structs import replace
+
 from trigpoint.base.clock import to_ns
 from trigpoint.base.words import counted
 from trigpoint.fusion.estimators.interface import CameraEstimate, Live, Update
 from trigpoint.fusion.model.dataset import CameraMove, Conclusions, DataSet
-from trigpoint.fusion.model.known_cameras import KnownCameras
 from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.model.readings import Readings
 from trigpoint.fusion.solver.filter import RobotEstimate
@@ -78,11 +79,10 @@ class FixedMap(Live):
                 "learnt anew"
             )
         seen = observation.scattering(self._scatter(observation))
-        placed = self._placings[seen.robot].take(seen, self._cameras)
-        if placed.problem:
-            return Update(problem=f"a sighting of {seen.camera} is unusable ({placed.problem})")
-        said = self._contradiction(seen) if placed.contradicts else None
-        return Update(placed.correction, contradiction=said)
+        update = self._placings[seen.robot].take(seen, self._cameras)
+        if update.contradiction is None:
+            return update
+        return replace(update, contradiction=self._contradiction(seen))
 
     def camera_moved(self, move: CameraMove) -> None:
         self.data.tell(move)
@@ -127,11 +127,6 @@ class FixedMap(Live):
             self._estimates = self.fixed.estimates(self._cameras)
         gone = {move.camera for move in self.data.told}
         return {name: each for name, each in self._estimates.items() if name not in gone}
-
-    @property
-    def known(self) -> KnownCameras:
-        """The cameras, as uncertain as they are now."""
-        return self._cameras
 
     @property
     def located_count(self) -> int:
