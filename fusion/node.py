@@ -3,6 +3,7 @@
 import json
 import logging
 import threading
+from collections import deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from trigpoint.base.ending import ENDING
 from trigpoint.base.errors import OperationError
 from trigpoint.bus.bus import Bus, Sample
 from trigpoint.contract import cdr, topics
-from trigpoint.contract.messages import CameraInfo, Message
+from trigpoint.contract.messages import CameraInfo, Message, OccupancyGrid
 from trigpoint.contract.topics import command_key
 from trigpoint.map.network import encode_network
 from trigpoint.node.node import Node
@@ -30,7 +31,7 @@ from .holding import Holding
 from .inbox import Inbox
 from .intake.admission import Admission
 from .last_solution import WRITING_S, save_last
-from .live.coverage_thread import CoverageThread
+from .live.coverage_thread import cover
 from .live.solver_messages import Solver
 from .map_storage import MapStorage, Stored
 from .model.inputs import Inputs
@@ -90,6 +91,7 @@ class FusionNode:
         self._diagnostics = Diagnostics(inputs.site, self._admission)
         self._inbox = Inbox(bus, node, clock, self._admission, self._diagnostics)
         self._publishing = Publishing(bus, inputs.site, node.health, signer, self._inbox.delays)
+        self._grids = deque[OccupancyGrid](maxlen=1)  # to be sent
         self._longest_s = 0.0
         self._path = out / CHECKPOINT
         self._storage: MapStorage | None = None
@@ -116,9 +118,7 @@ class FusionNode:
         self._node.work("estimates", self._run, within_s=_TURN_MOST_S)
         stopping = self._node.stopping
         self._node.work("keeps", lambda p: self._solution.run(p, stopping), within_s=_TURN_MOST_S)
-        announced = AnnouncedMap(self._site, self._inputs.targets)
-        cover = CoverageThread(self._bus, self._node, name, announced, self._covered)
-        self._node.work("covers", cover.run, within_s=_COVER_S)
+        self._node.work("covers", self._cover, within_s=_COVER_S)
 
     def finish(self) -> None:
         """Write the results, solved to the end where that is quick enough for a stop, after the
@@ -195,6 +195,8 @@ class FusionNode:
             self._storage.flush()
             self._solution.keep(self._pipeline)
         self._located_count = self._pipeline.located_count
+        while self._grids:
+            outputs.append(Output(topics.COVERAGE_GRID, "", self._grids.popleft()))
         return outputs
 
     def _push(self, sample: Sample, message: Message) -> None:
@@ -208,6 +210,11 @@ class FusionNode:
         lost = self._open_storage.store(sample.key, sample.payload, message)
         if lost:
             self._node.health.lose("checkpoint", lost)
+
+    def _cover(self, pulse: Pulse) -> None:
+        announced = AnnouncedMap(self._site, self._inputs.targets)
+        wait = self._node.stopping.wait
+        cover(announced, self._covered, self._grids.append, wait=wait, beat=pulse.beat)
 
     def _covered(self) -> Results | None:
         """What the map of corrections is made of; None where a solver makes it, or of nothing."""

@@ -14,7 +14,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from multiprocessing import get_context, resource_tracker
 from multiprocessing.connection import Connection
 
@@ -22,12 +22,13 @@ from msgspec import Struct
 
 from trigpoint.base.errors import OperationError
 from trigpoint.fusion.coverage.announced import AnnouncedMap
+from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.guidance.suggestions import suggestions
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.solver.snapshot import GuidanceWorld
 from trigpoint.node.watchdog import Pulse
 
-from .coverage_thread import CoverageWork
+from .coverage_thread import cover
 from .memory import return_large_arrays
 from .solver_messages import Covered, News, Order, Reported, Solved, Suggested
 from .solver_worker import SolverWorker
@@ -35,6 +36,7 @@ from .solver_worker import SolverWorker
 START_S = 60.0
 """How long the process may take to begin, also on a small machine that is busy."""
 _GUIDANCE_PERIOD_S = 3.0
+_COVER_NICENESS = 10
 _JOIN_S = 1.0
 _SIGN_PERIOD_S = 1.0
 # For one order: a long session takes a minute to solve, and none ten times the longest so far.
@@ -190,8 +192,9 @@ def _serve(orders: Connection, news: Connection) -> None:
             return worker.guidance_world()
 
     threading.Thread(target=_guide, args=(world, say), daemon=True).start()
+    newest: queue.Queue[Results] = queue.Queue(maxsize=1)
     announced = AnnouncedMap(data.site, data.targets)
-    coverage = CoverageWork(announced, lambda grid: say(Covered(grid)))
+    threading.Thread(target=_cover, args=(announced, newest, say), daemon=True).start()
     sign = Heartbeat(say, time.monotonic)
     while True:
         try:
@@ -207,7 +210,9 @@ def _serve(orders: Connection, news: Connection) -> None:
             for item in worker.rest() if backlog.empty() else ():
                 _say_solved(item, began_s, say)
                 if isinstance(item, Reported):
-                    coverage.take(item.results)
+                    with suppress(queue.Empty):  # in place of those that wait still
+                        newest.get_nowait()
+                    newest.put_nowait(item.results)
 
 
 def _say_solved(item: News, began_s: float, say: Callable[[News | Took], None]) -> None:
@@ -252,6 +257,15 @@ class _NewsPipe:
     def say(self, news: News | Alive | Took) -> None:
         with self._lock:
             self._news.send_bytes(pickle.dumps(news, protocol=pickle.HIGHEST_PROTOCOL))
+
+
+def _cover(
+    announced: AnnouncedMap, newest: "queue.Queue[Results]", say: Callable[[News], None]
+) -> None:
+    """Say how well a robot is corrected where, after each of the newest results."""
+    # Of this thread alone: on Linux priorities are threads' own.
+    os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _COVER_NICENESS)
+    cover(announced, newest.get, lambda grid: say(Covered(grid)), wait=time.sleep)
 
 
 def _guide(world: Callable[[], GuidanceWorld | None], say: Callable[[News], None]) -> None:
