@@ -93,12 +93,13 @@ class KalmanFilterState(KalmanState, frozen=True):
         """Iterate about where the sighting puts the robot, not where odometry does."""
         if sighting.places_robot:
             return self._with_robot(data, sighting)
-        robot, error = sighting.observation.robot, np.zeros(len(self.covariance))
+        camera, robot = sighting.observation.camera, sighting.observation.robot
+        error = np.zeros(len(self.covariance))
         twist = twist_between(self.poses[robot], sighting.map_from_base)
         error[self.columns["last", robot]] = twist[self.tangents[robot]]
         update = view = None
         for _ in range(_MOST_ITERATIONS):
-            there = self.moved(error)
+            there = self.moved(error, cameras=[camera])
             view = there._view(data, sighting)
             if view is None:
                 return None
@@ -241,8 +242,9 @@ class _Update(Struct, frozen=True):
     @classmethod
     def by(cls, covariance: Array, jacobian: Array, residual: Array) -> Self:
         """Raises LinAlgError where S is not positive definite."""
-        spread = covariance @ jacobian.T
-        root = np.linalg.cholesky(np.eye(len(residual)) + jacobian @ spread)
+        near = np.flatnonzero(jacobian.any(axis=0))  # a sighting bears on few of a large state
+        spread = covariance[:, near] @ jacobian[:, near].T
+        root = np.linalg.cholesky(np.eye(len(residual)) + jacobian[:, near] @ spread[near])
         innovation = np.linalg.solve(root, -residual)
         gain = np.linalg.solve(root, spread.T).T
         sigmas = np.sqrt(np.abs(np.diagonal(covariance) - np.sum(gain**2, axis=1)))
