@@ -20,7 +20,6 @@ from trigpoint.node.node import Node
 from trigpoint.node.watchdog import Pulse
 from trigpoint.security.authenticator import correction_signer
 
-from .answers import ANSWER_S, map_answer, solved
 from .checkpoint import CHECKPOINT
 from .coverage.announced import AnnouncedMap
 from .diagnostics import Diagnostics
@@ -30,7 +29,7 @@ from .fixed.network import FixedNetwork
 from .holding import Holding
 from .inbox import Inbox
 from .intake.admission import Admission
-from .last_solution import WRITING_S, save_last
+from .last_solution import ANSWER_S, WRITING_S, save_last, solved
 from .live.coverage_thread import cover
 from .live.solver_messages import Solver
 from .map_storage import MapStorage, Stored
@@ -373,7 +372,10 @@ class FusionNode:
     def _answer_map(self, _request: bytes) -> bytes:
         self._wait_for_the_checkpoint()
         with self._lock:
-            return map_answer(self._pipeline.map_id)
+            map_id = self._pipeline.map_id
+        if map_id is None:
+            raise OperationError("there is no map yet: no odometry of the first robot has come")
+        return json.dumps({"map_id": str(map_id)}).encode()
 
     def _answer_reset(self, _request: bytes) -> bytes:
         with self._lock:
