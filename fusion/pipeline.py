@@ -28,7 +28,7 @@ from .model.observations import Observation
 from .model.odometry import Added
 from .model.past import Past
 from .model.readings import Readings
-from .output import Output, output_of
+from .output import Output
 from .robot_announcements import RobotAnnouncements
 from .solver.filter import RobotEstimate
 from .solver.snapshot import GuidanceWorld
@@ -290,7 +290,7 @@ class Pipeline:
             if isinstance(news, Event):
                 self._left_out.happened(news)
             else:
-                self._outputs.append(output_of(news))
+                self._outputs.append(news)
         if follower.take_new_camera():
             self._take_cameras(self._data.last_ns, is_urgent=True)
 

@@ -20,7 +20,7 @@ from trigpoint.geometry.rotation import Array
 from trigpoint.node.watchdog import Pulse
 
 from .checked_file import checked_body, save_checked
-from .live.solver_messages import Solution, Solved
+from .live.solver_messages import Shares, Solution, Solved
 from .model.dataset import Conclusions
 from .model.inputs import Inputs
 from .model.known_cameras import Creep
@@ -31,7 +31,7 @@ from .solver.gaussian import Gaussian
 
 SOLUTION = "solution.bin"
 """Its name in the folder of a map."""
-_MAGIC = b"trigpoint-solution/2\n"  # another number with each change of what is in it
+_MAGIC = b"trigpoint-solution/3\n"  # another number with each change of what is in it
 _LENGTH = 8  # bytes of the document's, which is followed by the covariance
 _LOOK_S = 1.0
 
@@ -39,8 +39,7 @@ _log = logging.getLogger(__name__)
 
 
 class _Document(msgspec.Struct):
-    """`inputs`: a digest of what the solution rests on beside messages, the program too; `shares`:
-    camera, robot, stamp and share."""
+    """`inputs`: a digest of what the solution rests on beside messages, the program too."""
 
     inputs: bytes
     map_id: str
@@ -49,7 +48,7 @@ class _Document(msgspec.Struct):
     stamps_ns: dict[str, int]
     layout: Layout
     mean: Array
-    shares: list[tuple[str, str, int, float]]
+    shares: Shares
     conclusions: Conclusions
     located: tuple[str, ...]
 
@@ -144,7 +143,7 @@ class SolutionFile:
             stamps_ns=known.stamps_ns,
             layout=known.layout,
             mean=known.known.mean,
-            shares=[(*pair, *share) for pair, share in solved.shares.items()],
+            shares=solved.shares,
             conclusions=solved.conclusions,
             located=solved.located,
         )
@@ -156,9 +155,8 @@ class SolutionFile:
             camera: self._creep[camera].covariance(now_ns - document.until_ns)
             for camera in known.layout.pose.keys() & self._creep.keys()
         }
-        shares = {(camera, robot): (at, share) for camera, robot, at, share in document.shares}
         conclusions, located = document.conclusions, document.located
-        solved = Solved(0, known.spread(crept), shares, conclusions, located)
+        solved = Solved(0, known.spread(crept), document.shares, conclusions, located)
         return Solution(solved, document.until_ns)
 
 

@@ -24,20 +24,18 @@ from trigpoint.fusion.model.dataset import CameraMove, DataSet, Entry, Event
 from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.model.odometry import Added
 from trigpoint.fusion.model.readings import Readings
+from trigpoint.fusion.output import Output
 from trigpoint.fusion.solver.filter import RobotEstimate
 
 from .solver_messages import (
-    Covered,
     Finish,
     LeaveOpen,
-    News,
     Order,
     Report,
     Reported,
     Solution,
     Solved,
     Solver,
-    Suggested,
     TakeLens,
     TakeMove,
     TakeObservation,
@@ -126,23 +124,20 @@ class Follower(Live):
 
     # -- the solver -------------------------------------------------------------------------------
 
-    def attend(self) -> Iterator[Suggested | Event | Covered]:
+    def attend(self) -> Iterator[Output | Event]:
         """Take the solver's news and pass on the orders to it; yields what there is to report.
 
         Called at every turn.
         """
         for news in self._solver.news():
-            yield from self._take(news)
+            if isinstance(news, Solved):
+                self._take_over(news)
+            elif isinstance(news, Reported):
+                self._reported = news
+            else:
+                yield news
         self._catch_up()
         self._hand_over(is_all=False)
-
-    def _take(self, news: News) -> Iterator[Suggested | Event | Covered]:
-        if isinstance(news, Solved):
-            self._take_over(news)
-        elif isinstance(news, Reported):
-            self._reported = news
-        else:
-            yield news
 
     def _take_over(self, solved: Solved) -> None:
         """Begin to take over a solution."""

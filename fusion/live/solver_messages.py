@@ -5,14 +5,14 @@ from typing import Protocol
 
 from msgspec import Struct
 
-from trigpoint.contract.messages import OccupancyGrid
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.model.dataset import CameraMove, Conclusions, Event
 from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.model.past import Past
 from trigpoint.fusion.model.readings import Readings
+from trigpoint.fusion.output import Output
 from trigpoint.fusion.solver.filter import Filter
-from trigpoint.geometry import CameraModel, Pose
+from trigpoint.geometry import CameraModel
 
 # -- to the one that solves -----------------------------------------------------------------------
 
@@ -90,21 +90,8 @@ class Reported(Struct, frozen=True):
     results: Results
 
 
-class Suggested(Struct, frozen=True):
-    """Where a robot should go next (`guidance.suggestions`)."""
-
-    robot: str
-    stamp_ns: int
-    map_from_base: Pose
-
-
-class Covered(Struct, frozen=True):
-    """How well a robot is corrected where, where that changed."""
-
-    grid: OccupancyGrid
-
-
-News = Solved | Event | Reported | Suggested | Covered
+News = Solved | Event | Reported | Output
+"""An output is sent as it is: where a robot should go next, or how well it is corrected where."""
 
 
 class Solution(Struct, frozen=True):

@@ -21,16 +21,19 @@ from multiprocessing.connection import Connection
 from msgspec import Struct
 
 from trigpoint.base.errors import OperationError
+from trigpoint.contract import topics
+from trigpoint.contract.messages import OccupancyGrid, PoseStamped
 from trigpoint.fusion.coverage.announced import AnnouncedMap
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.guidance.suggestions import suggestions
 from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.output import Output
 from trigpoint.fusion.solver.snapshot import GuidanceWorld
 from trigpoint.node.watchdog import Pulse
 
 from .coverage_thread import cover
 from .memory import return_large_arrays
-from .solver_messages import Covered, News, Order, Reported, Solved, Suggested
+from .solver_messages import News, Order, Reported, Solved
 from .solver_worker import SolverWorker
 
 START_S = 60.0
@@ -265,7 +268,11 @@ def _cover(
     """Say how well a robot is corrected where, after each of the newest results."""
     # Of this thread alone: on Linux priorities are threads' own.
     os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _COVER_NICENESS)
-    cover(announced, newest.get, lambda grid: say(Covered(grid)), wait=time.sleep)
+
+    def say_grid(grid: OccupancyGrid) -> None:
+        say(Output(topics.COVERAGE_GRID, "", grid))
+
+    cover(announced, newest.get, say_grid, wait=time.sleep)
 
 
 def _guide(world: Callable[[], GuidanceWorld | None], say: Callable[[News], None]) -> None:
@@ -277,8 +284,9 @@ def _guide(world: Callable[[], GuidanceWorld | None], say: Callable[[News], None
             say(found)
 
 
-def suggested(known: GuidanceWorld) -> Iterator[Suggested]:
+def suggested(known: GuidanceWorld) -> Iterator[Output]:
     """Where each robot should go next."""
     for robot, place in known.robots.items():
         for found in suggestions(known, robot):
-            yield Suggested(robot, place.stamp_ns, found.map_from_base)
+            message = PoseStamped(place.stamp_ns, "map", found.map_from_base)
+            yield Output(topics.SUGGESTION, robot, message)

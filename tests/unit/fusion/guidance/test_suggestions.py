@@ -16,7 +16,6 @@ from trigpoint.fusion.guidance.expected_motion import expected_motion
 from trigpoint.fusion.guidance.suggestions import JointCovariance, Options, options, suggestions
 from trigpoint.fusion.live.solver_process import suggested
 from trigpoint.fusion.model.odometry import OdometryTrack
-from trigpoint.fusion.output import output_of
 from trigpoint.fusion.pipeline import Pipeline
 from trigpoint.fusion.replaying import replayed
 from trigpoint.fusion.solver.equations import covariance_of
@@ -255,7 +254,7 @@ def test_camera_that_never_saw_a_target_is_not_expected_to_see_one(drive: Drive)
 
 
 def test_suggestion_goes_to_its_robot_in_the_map(drive: Drive) -> None:
-    (said,) = map(output_of, suggested(drive.world))
+    (said,) = suggested(drive.world)
     assert said.topic.key("lab", said.node) == "lab/robot/r1/suggestion"
     message = said.message
     assert isinstance(message, PoseStamped)
