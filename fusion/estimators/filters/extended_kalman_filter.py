@@ -48,13 +48,16 @@ class KalmanFilterState(KalmanState, frozen=True):
 
     @classmethod
     def at_origin(cls, data: DataSet) -> "KalmanFilterState":
-        """Before any sighting: the first robot where its odometry begins, or the known cameras."""
+        """Before any sighting: the first robot where its odometry begins, or the known cameras;
+        before odometry nothing."""
         filter_state = cls({}, {}, {}, {}, {}, {}, np.zeros((0, 0)))
         if data.known.poses:
-            return filter_state.with_known_cameras(data)
+            return filter_state.with_known_cameras(data) if data.begin_ns else filter_state
         robot = data.anchored_robot
         assert robot is not None  # no camera is known
         track = data.tracks[robot]
+        if not len(track):
+            return filter_state
         filter_state = filter_state.with_robot_priors(
             data, robot, track.odom_from_base[0], track.first_ns
         )

@@ -94,13 +94,16 @@ class ParticleFilterState(Particles, frozen=True):
 
     @classmethod
     def at_origin(cls, data: DataSet) -> "ParticleFilterState":
-        """Before any sighting: the first robot where its odometry begins, or the known cameras."""
+        """Before any sighting: the first robot where its odometry begins, or the known cameras;
+        before odometry nothing."""
         filter_state = cls(data.site.fusion.seed)
         if data.known.poses:
-            return filter_state._with_known(data)
+            return filter_state._with_known(data) if data.begin_ns else filter_state
         robot = data.anchored_robot
         assert robot is not None  # no camera is known
         track = data.tracks[robot]
+        if not len(track):
+            return filter_state
         filter_state = filter_state.with_robot(data, robot, track.odom_from_base[0], track.first_ns)
         here = filter_state.robots[robot]
         there = replace(here, spread=np.zeros(here.spread.shape))

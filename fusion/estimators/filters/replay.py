@@ -8,10 +8,10 @@ everything is explained anew.
 import bisect
 from collections import defaultdict
 from collections.abc import Callable, Mapping
-from copy import copy
 
 import numpy as np
 from msgspec.structs import replace
+from numpy.linalg import LinAlgError
 
 from trigpoint.base.clock import to_ns
 from trigpoint.fusion.estimators.robot_alignment import align_to
@@ -31,13 +31,14 @@ _HISTORY = 64
 
 
 class Replay:
-    """A filter and its steps so far. `filter_state`: after all of the `steps`; `located`: the
-    approximate states of cameras, by all of their sightings; `left_open`: by camera, the covariance
-    (6, 6) of what explanations leave open of its pose, which the state has in it."""
+    """A filter and its steps so far. `has_begun`: whether the odometry that fixes the map has;
+    `filter_state`: after all of the `steps`; `located`: the approximate states of cameras, by all
+    of their sightings; `left_open`: by camera, the covariance (6, 6) of what explanations leave
+    open of its pose, which the state has in it."""
 
     def __init__(self, data: DataSet, origin: Callable[[DataSet], FilterState]) -> None:
         self._data, self._origin = data, origin
-        self.filter_state = origin(data)
+        self.filter_state, self.has_begun = origin(data), False
         self.steps: list[Step] = []
         self.located: Mapping[str, CameraState] = {}
         self.left_open: Mapping[str, Array] = {}
@@ -45,11 +46,10 @@ class Replay:
         # By entry, where several pictures share a tilt: see `Jitter.among`.
         self._variances: dict[int, Array] = {}
 
-    def copy(self) -> "Replay":
-        """A copy, to continue from if the next observation is unusable."""
-        other = copy(self)
-        other.steps = list(self.steps)
-        return other
+    def begin(self, robot: str) -> None:
+        """Note a robot's odometry."""
+        if not self.has_begun and (robot == self._data.anchored_robot or self._data.known.poses):
+            self.filter_state, self.has_begun = self._origin(self._data), True
 
     def is_located(self, camera: str) -> bool:
         return camera in self.located or camera in self._data.known.poses
@@ -57,18 +57,24 @@ class Replay:
     # -- which sighting comes next ----------------------------------------------------------------
 
     def insert(self, index: int) -> RobotEstimate | None:
-        """Use a sighting at its place in time; None where it makes no correction."""
+        """Use a sighting at its place in time; None where it makes no correction. Where it is
+        numerically unusable, everything is as before it, and LinAlgError or ValueError raised."""
         if not self.is_located(self._data.entries[index].observation.camera):
             return None
         place = bisect.bisect_right(self.steps, self._time_ns(index), key=lambda s: s.time_ns)
         if place < len(self.steps) and self.steps[place].before is None:
             return None  # older than the history
-        later = self._back_to(place)
-        correction = self._take(index)
-        for step in later:
-            self._take(step.entry)
-        if place < self._spread_after:  # the states before it are without
-            self._spread()
+        before = self.filter_state, list(self.steps), self._spread_after
+        try:
+            later = self._back_to(place)
+            correction = self._take(index)
+            for step in later:
+                self._take(step.entry)
+            if place < self._spread_after:  # the states before it are without
+                self._spread()
+        except (LinAlgError, ValueError):
+            self.filter_state, self.steps, self._spread_after = before
+            raise
         return correction
 
     def restart(self, located: Mapping[str, CameraState], left_open: Mapping[str, Array]) -> None:
