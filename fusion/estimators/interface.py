@@ -1,6 +1,6 @@
 """What every estimator offers to the pipeline."""
 
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from msgspec import Struct
@@ -53,7 +53,7 @@ class Update(Struct, frozen=True):
     contradiction: str | None = None
 
 
-class Trajectory(Struct, frozen=True):
+class Trajectory(NamedTuple):
     """A robot's trajectory: `map_from_base` (n) at each odometry message's stamp (n,)."""
 
     stamps_ns: np.ndarray
