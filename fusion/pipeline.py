@@ -21,7 +21,7 @@ from .intake.arrivals import Arrivals
 from .intake.message_intake import Intake
 from .intake.nudges import Nudges
 from .live.follower import Follower
-from .live.solver_messages import Solution, Solver
+from .live.solver_messages import Solved, Solver
 from .model.dataset import Conclusions, Event
 from .model.inputs import Inputs
 from .model.observations import Observation
@@ -230,7 +230,7 @@ class Pipeline:
         self._left_out.add("without_intrinsics")
         return False
 
-    def resumed(self, *, is_new: bool = False, solution: Solution | None = None) -> bool:
+    def resumed(self, *, is_new: bool = False, solution: Solved | None = None) -> bool:
         """Say that what was pushed so far came from a checkpoint: it is all used at once.
 
         Whoever wrote it may have sent more corrections than it shows. `is_new`: nothing was in it.

@@ -33,10 +33,8 @@ from .solver_messages import (
     Order,
     Report,
     Reported,
-    Solution,
     Solved,
     Solver,
-    TakeLens,
     TakeMove,
     TakeObservation,
     TakeOdometry,
@@ -77,12 +75,9 @@ class Follower(Live):
         # By robot, what came after these orders. A message by itself takes 20 µs to be packed.
         self._odometry: dict[str, list[Readings]] = {}
         self._recent: list[_Recent] = []
-        self._lenses: set[str] = set()
         self._told = 0
-        self._unsolved_ns = deque[int]()  # stamps of the last of those told
-        self._until_ns = 0
         self._collected: list[Observation] = []  # until they are to be solved
-        self.solution: Solution | None = None
+        self.solution: Solved | None = None
         self._asked = 0
         self._located: tuple[str, ...] = ()
         self._came, self._came_before = 0, 0
@@ -145,10 +140,7 @@ class Follower(Live):
             self.data.forget(solved.past)
             self._forget()
         self._recent = [r for r in self._recent if r.number is None or r.number > solved.count]
-        while len(self._unsolved_ns) > self._told - solved.count:
-            self._until_ns = max(self._until_ns, self._unsolved_ns.popleft())
-        kept = replace(solved, known=solved.known.copy(), past=None)
-        self.solution = Solution(kept, self._until_ns)
+        self.solution = replace(solved, known=solved.known.copy(), past=None)
         missing = sorted((r.observation for r in self._recent), key=lambda o: o.stamp_ns)
         self._coming = _Coming(self._concluded(solved), deque(missing))
 
@@ -161,12 +153,11 @@ class Follower(Live):
         current.shares = dict(solved.shares)
         return current
 
-    def go_on_from(self, solution: Solution) -> bool:
+    def go_on_from(self, solved: Solved) -> bool:
         """Make corrections by the last solution of a process before this one, until the solver has
         its own over all that was collected; whether odometry reaches back to where that solution
         left each robot. Of what was collected, only sightings after all of the solution's are used:
         nothing counts twice."""
-        solved, collected = solution.solved, self._collected
         tracks, stamps_ns = self.data.tracks, solved.known.stamps_ns
         if not all(tracks[robot].covers(stamp_ns) for robot, stamp_ns in stamps_ns.items()):
             return False
@@ -176,8 +167,8 @@ class Follower(Live):
         }
         solved = replace(solved, conclusions=replace(solved.conclusions, jumps=jumps))
         self._current, self._has_new_camera = self._concluded(solved), True
-        for observation in sorted(collected, key=lambda o: o.stamp_ns):
-            if observation.stamp_ns > solution.until_ns:
+        for observation in sorted(self._collected, key=lambda o: o.stamp_ns):
+            if observation.stamp_ns > solved.until_ns:
                 self._try_using(self._current, observation)
         return True
 
@@ -226,13 +217,9 @@ class Follower(Live):
         return observation.stamp_ns <= self.data.tracks[observation.robot].last_ns - held_ns
 
     def _tell(self, observation: Observation, *, is_collected: bool = False) -> None:
-        camera = observation.camera
-        if camera not in self._lenses:
-            self._lenses.add(camera)
-            self._order(TakeLens(camera, self.data.lenses[camera]))
-        self._order(TakeObservation(observation, is_collected))
+        lens = self.data.lenses[observation.camera]
+        self._order(TakeObservation(observation, lens, is_collected))
         self._told += 1
-        self._unsolved_ns.append(observation.stamp_ns)
 
     def is_to_settle(self, now_ns: int, *, is_new: bool) -> bool:
         """Whether all of it is to be explained and solved now, as `calibrate` does it; called at
