@@ -51,7 +51,6 @@ class CameraAnnouncements:
         # What is to be announced, in order; and the pose for which each camera's floor last was.
         self._poses: dict[str, _Known] = {}
         self._floors: dict[str, _Known] = {}
-        self._said: set[str] = set()
         # The last transforms of all; whether they are due though the others are not through.
         self._static: dict[str, Transform] = {}
         self._is_static_due = False
@@ -66,7 +65,7 @@ class CameraAnnouncements:
         changed. One that is no longer located is not announced."""
         self._taken_ns = stamp_ns
         known = {name: _Known(stamp_ns, camera) for name, camera in cameras.items()}
-        new = {name: one for name, one in known.items() if name not in self._said}
+        new = {name: one for name, one in known.items() if name not in self._static}
         waiting = {name: known[name] for name in self._poses if name in known}
         self._is_static_due = bool(waiting)
         self._poses = new | waiting | known
@@ -101,7 +100,6 @@ class CameraAnnouncements:
         transforms, is_new = [], False
         for name in list(self._poses)[:most]:
             known = self._poses.pop(name)
-            self._said.add(name)
             pose, covariance = known.camera.map_from_camera, known.camera.covariance
             estimate = PoseEstimate(known.stamp_ns, "map", pose, covariance)
             yield Output(topics.CAMERA_POSE, name, estimate)

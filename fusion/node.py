@@ -85,7 +85,6 @@ class FusionNode:
         self._admission = Admission(inputs.site)
         self._pipeline = self._maker.make(self._holding.fixed, is_live=False)
         self._announced: dict[str, bytes] = {}
-        self._located_count = 0
         signer = correction_signer(inputs.site, clock)
         self._diagnostics = Diagnostics(inputs.site, self._admission)
         self._inbox = Inbox(bus, node, clock, self._admission, self._diagnostics)
@@ -101,9 +100,9 @@ class FusionNode:
         name = self._site.name
         self._inbox.open(name)
         self._node.health.gauge("waiting", lambda: self._pipeline.waiting)
-        self._node.health.gauge("cameras_located", lambda: self._located_count)
-        cameras = len(self._site.cameras)
-        self._node.health.gauge("cameras_undetermined", lambda: cameras - self._located_count)
+        count, cameras = lambda: self._pipeline.located_count, len(self._site.cameras)
+        self._node.health.gauge("cameras_located", count)
+        self._node.health.gauge("cameras_undetermined", lambda: cameras - count())
         self._node.health.gauge("worst_sigma_m", lambda: self._publishing.accuracy.worst_sigma_m)
         self._node.health.gauge("disk_free_bytes", lambda: free_bytes(self._out))
         for path, answer in (
@@ -193,7 +192,6 @@ class FusionNode:
             self._storage.settle(self._pipeline.past)
             self._storage.flush()
             self._solution.keep(self._pipeline)
-        self._located_count = self._pipeline.located_count
         while self._grids:
             outputs.append(Output(topics.COVERAGE_GRID, "", self._grids.popleft()))
         return outputs

@@ -63,7 +63,6 @@ class Pipeline:
         self._follower = self.reports if isinstance(self.reports, Follower) else None
         self.arrivals = Arrivals(inputs.site, data.tracks)
         self._outputs: list[Output] = []
-        self._used_ns = 0
         self._cameras = CameraAnnouncements(inputs.targets[inputs.site.first_robot])
         self._robots = RobotAnnouncements(inputs.site.fusion.correction_rate)
         self._early: list[tuple[str, Sightings]] = []
@@ -267,9 +266,8 @@ class Pipeline:
             is_new = not all(observation.is_repeat for observation in used)
             if now_ns is not None and self._follower.is_to_settle(now_ns, is_new=is_new):
                 self._explain_all()
-        # Live, cameras are announced also while none of them sees a robot: no transform grows old.
-        used_ns = 0 if self._is_live else self._used_ns
-        stamp_ns = used_ns or self._data.last_ns
+        # Cameras are announced also while none of them sees a robot: no transform grows old.
+        stamp_ns = self._data.last_ns
         if self._cameras.is_due(stamp_ns, is_quiet=is_quiet):
             self._take_cameras(stamp_ns, is_urgent=False)
         self._outputs += self._cameras.next(is_quiet=is_quiet)
@@ -314,7 +312,6 @@ class Pipeline:
             if not observation.is_repeat:
                 self._estimator.collect(observation)
             return
-        self._used_ns = observation.stamp_ns
         update = self._estimator.add_observation(observation)
         if update.problem:
             self._left_out.add("unusable", update.problem)
