@@ -34,7 +34,8 @@ class FixedMap(Live):
     def __init__(self, data: DataSet, fixed: FixedNetwork, forget: Callable[[], None]) -> None:
         self.data, self.fixed, self._forget = data, fixed, forget
         if fixed.learnt is not None:
-            data.conclude(Conclusions((), {}, fixed.learnt.noise, fixed.learnt.jitter, {}))
+            whole, learnt = dict.fromkeys(data.tracks, ()), fixed.learnt
+            data.conclude(Conclusions((), whole, learnt.noise, learnt.jitter, {}))
         self._placings = {robot: Placing(data, fixed, robot) for robot in data.site.robots}
         self._cameras = fixed.known
         self._estimates: dict[str, CameraEstimate] = {}
