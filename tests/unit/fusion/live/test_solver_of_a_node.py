@@ -198,6 +198,7 @@ def test_killed_node_goes_on_from_its_last_solution(charuco: Session, tmp_path: 
     with running(charuco.inputs, tmp_path, SlowSolver) as (killed, node, feed):
         feed(charuco.messages)
         until(node, lambda: killed._pipeline.located_count == 3)
+        until(node, lambda: killed._solution._kept is killed._pipeline.reports.solution)
 
     def never(inputs: Inputs) -> Solver:
         return SlowSolver(inputs, calls=10**9)
