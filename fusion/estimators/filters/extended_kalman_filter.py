@@ -19,8 +19,7 @@ from msgspec.structs import replace
 
 from trigpoint.base.clock import to_ns, to_seconds
 from trigpoint.fusion.model.dataset import DataSet
-from trigpoint.fusion.model.motion import odometry_step
-from trigpoint.fusion.model.odometry import OdometryTrack
+from trigpoint.fusion.model.motion import both, odometry_step
 from trigpoint.fusion.model.problem import CameraState
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
@@ -33,7 +32,6 @@ from .relative_pose import RelativeView, relative_view
 from .sequential import SequentialEstimator
 
 _MOST_ITERATIONS = 5
-_VELOCITY_WINDOW_NS = to_ns(0.02)
 # An iteration that moves nothing by more than this many of its sigmas is the last.
 _SETTLED = 0.02
 
@@ -185,7 +183,8 @@ class KalmanFilterState(KalmanState, frozen=True):
         pose, node_ns = self.poses[robot], self.stamps_ns[robot]
         if ("offset", camera) not in self.columns:
             return pose, np.zeros(6)
-        moving = _velocity(data.tracks[robot], pose, node_ns, self.scales(robot))
+        twist = data.tracks[robot].twists_about(np.array([node_ns]))[0]
+        moving = np.kron(np.eye(2), pose.rotation) @ (twist * both(1 + self.scales(robot)))
         after_s = to_seconds(sighting.observation.stamp_ns - node_ns)
         return pose.disturbed(moving * (after_s - self.states[camera].time_offset_s)), moving
 
@@ -218,17 +217,6 @@ class KalmanFilterState(KalmanState, frozen=True):
             # True time = stamp - offset: with a larger one the robot was seen earlier.
             jacobian[:, self.columns["offset", camera]] = -(by_base @ moving)[:, None]
         return jacobian
-
-
-def _velocity(track: OdometryTrack, map_from_base: Pose, stamp_ns: int, scales: Array) -> Array:
-    """A robot's velocity at a moment, as the disturbance per second, (…, 6), in the map's axes."""
-    begin = max(stamp_ns - _VELOCITY_WINDOW_NS, track.first_ns)
-    end = min(stamp_ns + _VELOCITY_WINDOW_NS, track.last_ns)
-    if end <= begin:
-        return np.zeros((*map_from_base.translation.shape[:-1], 6))
-    motion = track.motion(np.array([begin, end]), scales).earlier_from_later[0]
-    moved = (map_from_base @ motion).difference(map_from_base)
-    return moved / to_seconds(end - begin)
 
 
 class _Update(Struct, frozen=True):
