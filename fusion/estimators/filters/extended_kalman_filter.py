@@ -23,7 +23,7 @@ from trigpoint.fusion.model.motion import both, odometry_step
 from trigpoint.fusion.model.problem import CameraState
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
-from trigpoint.geometry.uncertainty import relative_jacobians, symmetric
+from trigpoint.geometry.uncertainty import relative_jacobians, symmetric, turned_axes
 
 from .filter_state import Innovation, ReadSighting
 from .kalman_state import KalmanState, Part
@@ -184,7 +184,7 @@ class KalmanFilterState(KalmanState, frozen=True):
         if ("offset", camera) not in self.columns:
             return pose, np.zeros(6)
         twist = data.tracks[robot].twists_about(np.array([node_ns]))[0]
-        moving = np.kron(np.eye(2), pose.rotation) @ (twist * both(1 + self.scales(robot)))
+        moving = turned_axes(pose.rotation) @ (twist * both(1 + self.scales(robot)))
         after_s = to_seconds(sighting.observation.stamp_ns - node_ns)
         return pose.disturbed(moving * (after_s - self.states[camera].time_offset_s)), moving
 

@@ -16,6 +16,7 @@ from trigpoint.fusion.model.projection import projected
 from trigpoint.fusion.solver.picture_jitter import PictureJitter
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
+from trigpoint.geometry.uncertainty import turned_axes
 from trigpoint.site.target import Target
 
 _LEAST_CORNERS = 4
@@ -69,7 +70,7 @@ def relative_view(
         return None
     freedom = len(residual) - 6
     if variances is not None:
-        by_base = jacobian @ np.kron(np.eye(2), camera_from_base.rotation)
+        by_base = jacobian @ turned_axes(camera_from_base.rotation)
         jitter = PictureJitter.by(by_base[None], variances[None])
         (jacobian,), (residual,) = jitter.rows(jacobian[None], residual[None])
     basis, root = np.linalg.qr(jacobian)
