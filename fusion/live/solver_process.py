@@ -188,7 +188,11 @@ def _serve(orders: Connection, news: Connection) -> None:
     backlog: queue.SimpleQueue[Order] = queue.SimpleQueue()
     threading.Thread(target=_listen, args=(orders, backlog), daemon=True).start()
     worker, lock = SolverWorker(data), threading.Lock()
-    say = _NewsPipe(news).say
+    saying = threading.Lock()
+
+    def say(item: News | Alive | Took) -> None:
+        with saying:
+            news.send_bytes(pickle.dumps(item, protocol=pickle.HIGHEST_PROTOCOL))
 
     def world() -> GuidanceWorld | None:
         with lock:
@@ -249,17 +253,6 @@ class Heartbeat:
         if now_s - self._said_s >= _SIGN_PERIOD_S:
             self._said_s = now_s
             self._say(Alive(max(_PATIENCE_S, _TIMES_THE_LONGEST * self._longest_s)))
-
-
-class _NewsPipe:
-    """Sends news and what is about the process itself, one at a time."""
-
-    def __init__(self, news: Connection) -> None:
-        self._news, self._lock = news, threading.Lock()
-
-    def say(self, news: News | Alive | Took) -> None:
-        with self._lock:
-            self._news.send_bytes(pickle.dumps(news, protocol=pickle.HIGHEST_PROTOCOL))
 
 
 def _cover(
