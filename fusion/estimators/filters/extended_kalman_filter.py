@@ -28,7 +28,7 @@ from trigpoint.geometry.uncertainty import relative_jacobians, symmetric, turned
 from .filter_state import Innovation, ReadSighting
 from .kalman_state import KalmanState, Part
 from .pose_errors import disturbance_by_twist, twist_between, twist_by_disturbance
-from .relative_pose import RelativeView, relative_view
+from .relative_pose import RelativeView
 from .sequential import SequentialEstimator
 
 _MOST_ITERATIONS = 5
@@ -189,15 +189,9 @@ class KalmanFilterState(KalmanState, frozen=True):
         return pose.disturbed(moving * (after_s - self.states[camera].time_offset_s)), moving
 
     def _view(self, data: DataSet, sighting: ReadSighting) -> RelativeView | None:
-        camera, robot = self.states[sighting.observation.camera], sighting.observation.robot
+        camera = self.states[sighting.observation.camera]
         pose, _ = self._seen(data, sighting)
-        return relative_view(
-            sighting.observation,
-            data.targets[robot],
-            camera.lens,
-            camera.map_from_camera.inverse() @ pose,
-            sighting.variances,
-        )
+        return sighting.view(data, camera.lens, camera.map_from_camera.inverse() @ pose)
 
     def _jacobian(self, data: DataSet, sighting: ReadSighting, view: RelativeView) -> Array:
         """The derivative of the compressed residual by the whole error, (k, n)."""

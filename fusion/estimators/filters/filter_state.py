@@ -10,8 +10,10 @@ from trigpoint.fusion.model.gates import is_noise
 from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.model.problem import CameraState
 from trigpoint.fusion.solver.filter import RobotEstimate
-from trigpoint.geometry import Pose
+from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
+
+from .relative_pose import RelativeView, relative_view
 
 
 class ReadSighting(Struct, frozen=True):
@@ -26,6 +28,11 @@ class ReadSighting(Struct, frozen=True):
     map_from_base: Pose
     variances: Array | None = None
     places_robot: bool = False
+
+    def view(self, data: DataSet, lens: CameraModel, camera_from_base: Pose) -> RelativeView | None:
+        """The sighting linearised at a pose; None where it is of no use there."""
+        target = data.targets[self.observation.robot]
+        return relative_view(self.observation, target, lens, camera_from_base, self.variances)
 
 
 class Innovation(Struct, frozen=True):

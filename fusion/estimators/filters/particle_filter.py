@@ -29,7 +29,7 @@ from .filter_state import Innovation, ReadSighting
 from .particle_resampling import effective_sample_size, largest_share, normalised
 from .particles import PARTICLES, CameraParticles, Particles, transposed
 from .pose_samples import PoseSamples
-from .relative_pose import RelativeView, relative_view
+from .relative_pose import RelativeView
 from .sequential import SequentialEstimator
 
 _MOST_SHARES = 200
@@ -165,9 +165,8 @@ class ParticleFilterState(Particles, frozen=True):
         free = len(filter_state.robots[robot].tangent) if sighting.places_robot else 0
         freedom = len(view.residual) - free
         filter_state = filter_state._conditioned(view, relative, robot, camera)
-        camera_from_map = filter_state.located[camera].poses.mean.inverse()
-        pose = filter_state.robots[robot].poses.mean
-        after = filter_state._view(data, sighting, camera_from_map @ pose)
+        eye, pose = filter_state.located[camera], filter_state.robots[robot].poses.mean
+        after = sighting.view(data, eye.lens, eye.poses.mean.inverse() @ pose)
         rms_px = after.rms_px if after is not None else view.rms_px
         total = chi2 + view.left_over
         return filter_state, Innovation(chi2, freedom, total, freedom + view.freedom, rms_px)
@@ -178,10 +177,7 @@ class ParticleFilterState(Particles, frozen=True):
         """Draw each particle's pose, and place the camera by it, with the sighting's covariance."""
         robot, name = sighting.observation.robot, sighting.observation.camera
         camera_from_base = camera.map_from_camera.inverse() @ sighting.map_from_base
-        target = data.targets[robot]
-        view = relative_view(
-            sighting.observation, target, camera.lens, camera_from_base, sighting.variances
-        )
+        view = sighting.view(data, camera.lens, camera_from_base)
         if view is None or not view.determines_pose:
             return None
         filter_state = self.with_drawn([robot])
@@ -213,19 +209,12 @@ class ParticleFilterState(Particles, frozen=True):
         spread = jacobian @ covariance @ transposed(jacobian)
         return _Relative(place.inverse() @ pose, jacobian, covariance, spread)
 
-    def _view(
-        self, data: DataSet, sighting: ReadSighting, camera_from_base: Pose
-    ) -> RelativeView | None:
-        observation, lens = sighting.observation, self.located[sighting.observation.camera].lens
-        target = data.targets[observation.robot]
-        return relative_view(observation, target, lens, camera_from_base, sighting.variances)
-
     def _linearised(
         self, data: DataSet, sighting: ReadSighting, relative: _Relative
     ) -> RelativeView | None:
         """The sighting linearised about the best camera_from_base by it and the particles."""
-        place = self.located[sighting.observation.camera].poses.mean
-        view = self._view(data, sighting, place.inverse() @ sighting.map_from_base)
+        eye = self.located[sighting.observation.camera]
+        view = sighting.view(data, eye.lens, eye.poses.mean.inverse() @ sighting.map_from_base)
         for _ in range(_MOST_LINEARISATIONS - 1):
             if view is None or len(view.root) < 6:
                 return None
@@ -234,7 +223,7 @@ class ParticleFilterState(Particles, frozen=True):
             gain = covariance @ view.root.T
             gain = gain @ np.linalg.inv(view.root @ gain + np.eye(len(view.root)))
             best = mean - gain @ (view.residual + view.root @ mean)
-            view = self._view(data, sighting, view.camera_from_base.disturbed(best))
+            view = sighting.view(data, eye.lens, view.camera_from_base.disturbed(best))
         return view
 
     def _group(self, robot: str, camera: str) -> list[str]:

@@ -25,7 +25,7 @@ from trigpoint.geometry.rotation import Array
 
 from .contradictions import Step
 from .filter_state import FilterState, Innovation, ReadSighting
-from .relative_pose import relative_view, without_wild_corners
+from .relative_pose import without_wild_corners
 
 _HISTORY = 64
 
@@ -194,12 +194,13 @@ class Replay:
         camera, target = self.located[observation.camera], self._data.targets[observation.robot]
         pose, variances = camera.map_from_camera.inverse() @ stood, self._disturbance(index)
         sound = without_wild_corners(observation, target, camera.lens, pose)
-        view = relative_view(sound, target, camera.lens, pose, variances) if sound else None
-        if sound is None or view is None:
+        if sound is None:
             return None
-        if not is_noise(float(view.residual @ view.residual), len(view.residual)):
+        sighting = ReadSighting(sound, stood, variances)
+        view = sighting.view(self._data, camera.lens, pose)
+        if view is None or not is_noise(float(view.residual @ view.residual), len(view.residual)):
             return None
-        return filter_state.with_camera(self._data, ReadSighting(sound, stood, variances), camera)
+        return filter_state.with_camera(self._data, sighting, camera)
 
     def _disturbance(self, index: int) -> Array | None:
         """The variances (6,) of the robot's deviation in one picture; None where there is none."""
