@@ -7,7 +7,6 @@ turn, new ones first, and the floor of one, in turns in which no robot waits.
 from collections.abc import Iterator
 
 import numpy as np
-from msgspec import Struct
 
 from trigpoint.base.clock import to_ns
 from trigpoint.contract import topics
@@ -31,13 +30,6 @@ _SAME_FLOOR_M = 0.05
 _SAME_FLOOR_RAD = 0.01
 
 
-class _Known(Struct, frozen=True):
-    """A camera's estimate at a moment."""
-
-    stamp_ns: int
-    camera: CameraEstimate
-
-
 class CameraAnnouncements:
     """The cameras that are to be announced, and those that were. Not thread-safe.
 
@@ -49,9 +41,8 @@ class CameraAnnouncements:
         self._taken_ns: int | None = None
         self._looked_ns: int | None = None
         # What is to be announced, in order; and the pose for which each camera's floor last was.
-        self._poses: dict[str, _Known] = {}
-        self._floors: dict[str, _Known] = {}
-        self._said: set[str] = set()
+        self._poses: dict[str, CameraEstimate] = {}
+        self._floors: dict[str, CameraEstimate] = {}
         # The last transforms of all; whether they are due though the others are not through.
         self._static: dict[str, Transform] = {}
         self._is_static_due = False
@@ -61,26 +52,25 @@ class CameraAnnouncements:
         """Whether it is time to announce all cameras again; `is_quiet`: no robot waits."""
         return _has_passed(self._taken_ns, stamp_ns, _PERIOD_NS if is_quiet else _LONG_NS)
 
-    def take(self, stamp_ns: int, cameras: dict[str, CameraEstimate], *, is_urgent: bool) -> None:
+    def take(self, stamp_ns: int, known: dict[str, CameraEstimate], *, is_urgent: bool) -> None:
         """Set the cameras to announce, as estimated at a moment; `is_urgent`: and every floor that
         changed. One that is no longer located is not announced."""
         self._taken_ns = stamp_ns
-        known = {name: _Known(stamp_ns, camera) for name, camera in cameras.items()}
-        new = {name: one for name, one in known.items() if name not in self._said}
+        new = {name: one for name, one in known.items() if name not in self._static}
         waiting = {name: known[name] for name in self._poses if name in known}
         self._is_static_due = bool(waiting)
         self._poses = new | waiting | known
         self._static = {name: one for name, one in self._static.items() if name in known}
-        self._floors = {name: one for name, one in self._floors.items() if name in known}
+        self._floors = {name: known[name] for name in self._floors if name in known}
         if is_urgent or _has_passed(self._looked_ns, stamp_ns, _COVERAGE_PERIOD_NS):
             self._looked_ns = stamp_ns
             self._floors |= {n: one for n, one in known.items() if self._sees_another_floor(n, one)}
 
-    def _sees_another_floor(self, name: str, known: _Known) -> bool:
+    def _sees_another_floor(self, name: str, camera: CameraEstimate) -> bool:
         before = self._floor_from.get(name)
         if before is None:
             return True
-        pose = known.camera.map_from_camera
+        pose = camera.map_from_camera
         shift = np.abs(pose.translation - before.translation).max()
         turn = np.abs(pose.rotation - before.rotation).max()
         return bool(shift > _SAME_FLOOR_M or turn > _SAME_FLOOR_RAD)
@@ -98,14 +88,13 @@ class CameraAnnouncements:
             yield from self._say_floor()
 
     def _say_poses(self, most: int) -> Iterator[Output]:
-        transforms, is_new = [], False
+        transforms, is_new, stamp_ns = [], False, self._taken_ns or 0
         for name in list(self._poses)[:most]:
-            known = self._poses.pop(name)
-            self._said.add(name)
-            pose, covariance = known.camera.map_from_camera, known.camera.covariance
-            estimate = PoseEstimate(known.stamp_ns, "map", pose, covariance)
+            camera = self._poses.pop(name)
+            pose = camera.map_from_camera
+            estimate = PoseEstimate(stamp_ns, "map", pose, camera.covariance)
             yield Output(topics.CAMERA_POSE, name, estimate)
-            one = Transform(known.stamp_ns, "map", f"{name}/optical", pose)
+            one = Transform(stamp_ns, "map", f"{name}/optical", pose)
             transforms.append(one)
             is_new |= name not in self._static
             self._static[name] = one
@@ -119,11 +108,11 @@ class CameraAnnouncements:
         if not self._floors:
             return
         name = next(iter(self._floors))
-        known = self._floors.pop(name)
-        self._floor_from[name] = known.camera.map_from_camera
-        points = coverage(known.camera.map_from_camera, known.camera.lens, self._target)
+        camera = self._floors.pop(name)
+        self._floor_from[name] = camera.map_from_camera
+        points = coverage(camera.map_from_camera, camera.lens, self._target)
         if len(points):
-            yield Output(topics.COVERAGE, name, Polygon(known.stamp_ns, "map", points))
+            yield Output(topics.COVERAGE, name, Polygon(self._taken_ns or 0, "map", points))
 
 
 def _has_passed(last_ns: int | None, stamp_ns: int, period_ns: int) -> bool:

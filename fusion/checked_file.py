@@ -2,7 +2,6 @@
 
 import os
 import zlib
-from io import FileIO
 from pathlib import Path
 
 _CHECK = 4  # bytes of the checksum
@@ -16,18 +15,12 @@ def save_checked(
     part, check = path.with_suffix(".part"), 0
     for some in body:
         check = zlib.crc32(some, check)
-    with part.open("wb", buffering=0) as file:
-        for some in (magic + check.to_bytes(_CHECK, "little"), *body):
-            _write(file, memoryview(some))
+    with part.open("wb") as file:  # which takes what is large as it is
+        file.writelines((magic + check.to_bytes(_CHECK, "little"), *body))
         if is_synced:
             file.flush()
             os.fsync(file.fileno())
     part.replace(path)
-
-
-def _write(file: FileIO, some: memoryview) -> None:
-    while some:
-        some = some[file.write(some) :]
 
 
 def checked_body(data: bytes, magic: bytes) -> bytes | None:

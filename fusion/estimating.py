@@ -1,38 +1,42 @@
-"""Which estimator works for a pipeline."""
+"""Which estimator works for a pipeline, and where its results come from."""
 
 from collections.abc import Callable
 
-from msgspec import Struct
-
 from .estimators.interface import Live
 from .estimators.registry import make_estimator
+from .estimators.results import Results, results_of
 from .fixed.map import FixedMap
 from .fixed.network import FixedNetwork
 from .live.follower import Follower
-from .live.reports import Immediate, Reports
 from .live.solver_messages import Solver
 from .model.dataset import DataSet
 
 
-class Estimating(Struct, frozen=True):
-    """An estimator, and where its results come from; `follower`: the estimator that a solver works
-    for, None where there is none."""
+class Immediate:
+    """The results where no solver reports them (`Follower`): there at any moment."""
 
-    estimator: Live
-    reports: Reports
-    follower: Follower | None = None
+    is_answered = is_final = has_results = True
+    solution = None
+
+    def __init__(self, results: Callable[[], Results]) -> None:
+        self.results = results
+
+    def ask(self) -> None:
+        """Nothing needs to be requested."""
+
+
+Reports = Immediate | Follower
 
 
 def estimating(
     data: DataSet, solver: Solver | None, fixed: FixedNetwork | None, forget: Callable[[], None]
-) -> Estimating:
-    """A fixed map's, one that a solver works for, or the one that the site file names; `forget`:
-    called by an estimator that drops the odometry's past."""
+) -> tuple[Live, Reports]:
+    """A fixed map's estimator, one that a solver works for, or the one that the site file names,
+    with its results; `forget`: called by an estimator that drops the odometry's past."""
     if fixed is not None:
-        held = FixedMap(data, fixed, forget)
-        return Estimating(held, held)
+        return FixedMap(data, fixed, forget), Immediate(lambda: fixed.results)
     if solver is not None:
         follower = Follower(data, solver, forget)
-        return Estimating(follower, follower, follower)
+        return follower, follower
     estimator = make_estimator(data)
-    return Estimating(estimator, Immediate(data, estimator))
+    return estimator, Immediate(lambda: results_of(data, estimator))

@@ -7,6 +7,8 @@ stored any more.
 import json
 from enum import StrEnum
 
+import msgspec
+
 from trigpoint.base.errors import InputError, OperationError
 from trigpoint.fusion.fixed.network import FixedNetwork
 
@@ -17,6 +19,10 @@ class MapState(StrEnum):
     LEARNT = "learnt"
     SETTLING = "being fixed"
     FIXED = "fixed"
+
+
+class _Wish(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    learn: bool
 
 
 class Holding:
@@ -78,12 +84,8 @@ def wish_of(request: bytes) -> bool | None:
     if not request:
         return None
     try:
-        document = json.loads(request)
-    except ValueError:
-        document = None
-    if not isinstance(document, dict) or [*document] != ["learn"]:
-        raise InputError('fusion/learn: no request; send {"learn": false} or {"learn": true}')
-    wish = document["learn"]
-    if not isinstance(wish, bool):
-        raise InputError(f"fusion/learn: learn is {json.dumps(wish)}; send true or false")
-    return wish
+        return msgspec.json.decode(request, type=_Wish).learn
+    except msgspec.DecodeError as reason:
+        raise InputError(
+            f'fusion/learn: no request ({reason}); send {{"learn": false}} or {{"learn": true}}'
+        ) from None

@@ -32,10 +32,11 @@ def make_inputs(
     """Inputs from targets and lenses that are loaded already."""
     check_estimator(site)
     _ = site.first_robot  # refuses a site without one, before anything is opened
-    known = KnownCameras.none() if network is None else load_known(network, site)
-    for name in known.poses:
-        lenses.setdefault(name, _lens_in(network, name))
-    return Inputs(site, targets, lenses, known)
+    if network is None:
+        return Inputs(site, targets, lenses)
+    known, records = load_known(network, site), load_network(network).cameras
+    in_network = {n: lens.camera for n in known.poses if (lens := records[n].intrinsics)}
+    return Inputs(site, targets, in_network | lenses, known)
 
 
 def load_lenses(site: Site) -> dict[str, CameraModel]:
@@ -86,10 +87,3 @@ def load_fixed(inputs: Inputs, *, network: Path | None, folder: Path) -> FixedNe
             f"{CHECKPOINT}), or write learn = true"
         )
     return None
-
-
-def _lens_in(network: Path | None, camera: str) -> CameraModel:
-    assert network is not None  # only a network has known cameras
-    record = load_network(network).cameras[camera].intrinsics
-    assert record is not None  # located cameras have a lens
-    return record.camera

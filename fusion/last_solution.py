@@ -1,15 +1,21 @@
-"""Writes what is known when fusion stops: solved to the end where that is quick enough."""
+"""Has what is known solved: for an answer, and to be written when fusion stops."""
 
 import logging
+import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 from trigpoint.base.clock import Clock, to_ns
 from trigpoint.base.ending import ENDING
 from trigpoint.base.errors import OperationError
 
+from .estimators.results import Results
+from .fair_lock import FairLock
 from .pipeline import Pipeline
 
+ANSWER_S = 2.0
+"""How long a command waits for what it asks for."""
 WRITING_S = 0.5
 """A stop may take two seconds in all (`base.ending`), of which files and the bus need so much."""
 _LAST_SOLUTION_S = 1.2
@@ -44,15 +50,40 @@ def save_last(pipeline: Pipeline, out: Path, clock: Clock, *, turn_s: float | No
     _log.info("the network is in %s", out / "network.json")
 
 
+def solved(
+    now: Callable[[], Pipeline], lock: FairLock, clock: Clock, stopping: threading.Event
+) -> Results:
+    """The results of the pipeline of now, as it knows them; raise OperationError where there are
+    none yet. A solver answers once its current work is done; until then the last answer holds."""
+    with lock:
+        pipeline = now()
+        pipeline.reports.ask()
+    _wait(pipeline, clock, ANSWER_S, stopping.wait)
+    with lock:
+        return pipeline.results()
+
+
 def _is_solved_in_time(pipeline: Pipeline, clock: Clock) -> bool:
     """Have the solver solve to the end; whether it did within the time that a stop may take."""
+
+    def pause(seconds: float) -> None:
+        time.sleep(seconds)
+        pipeline.advance()
+
     within_s = min(_LAST_SOLUTION_S, ENDING.left_s(WRITING_S))
-    until_ns = clock.elapsed_ns() + to_ns(within_s)
     try:
         pipeline.finish()
-        while not pipeline.reports.is_answered and clock.elapsed_ns() < until_ns:
-            time.sleep(_LOOK_S)
-            pipeline.advance()
+        _wait(pipeline, clock, within_s, pause)
     except OperationError as reason:
         _log.error("%s", reason)
     return pipeline.reports.is_answered and pipeline.reports.is_final
+
+
+def _wait(
+    pipeline: Pipeline, clock: Clock, within_s: float, pause: Callable[[float], bool | None]
+) -> None:
+    """Wait for the solver's answer, unless a pause says that it is in vain."""
+    until_ns = clock.elapsed_ns() + to_ns(within_s)
+    while not pipeline.reports.is_answered and clock.elapsed_ns() < until_ns:
+        if pause(_LOOK_S):
+            return

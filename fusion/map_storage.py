@@ -6,6 +6,7 @@ a past that the map summarises (`past.bin`), the file is removed.
 """
 
 import logging
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from itertools import groupby, islice
@@ -40,20 +41,6 @@ Stored = CameraInfo | Diagnostics | Odometry | Readings | Sightings
 _RETRY_NS = to_ns(30.0)
 
 _log = logging.getLogger(__name__)
-
-
-class _OdometryOfKey:
-    """Odometry of one key that is read at once and used in parts. `is_needed`: (n,) which."""
-
-    def __init__(self, readings: Readings, is_needed: np.ndarray) -> None:
-        self._readings, self._is_needed, self._taken = readings, is_needed, 0
-
-    def next(self, count: int) -> Readings:
-        """What is needed of so many messages."""
-        rows = slice(self._taken, self._taken + count)
-        self._taken += count
-        is_needed = self._is_needed[rows]
-        return self._readings[rows] if is_needed.all() else self._readings[rows][is_needed]
 
 
 class MapStorage:
@@ -109,11 +96,14 @@ class MapStorage:
         """What is to be used of messages, in order; odometry of one robot as it came in a row."""
         self._count += len(some) if path == self._path else 0
         odometry = {key: self._odometry_of(path, key, some) for key in {key for key, _ in some}}
+        taken = Counter[str]()
         for key, run in groupby(some, itemgetter(0)):
             payloads = [payload for _, payload in run]
             found = odometry[key]
             if found is not None:
-                readings = found.next(len(payloads))
+                readings = found[taken[key] : taken[key] + len(payloads)]
+                taken[key] += len(payloads)
+                readings = readings[readings.stamps_ns >= self._needed_since_ns(key, Odometry)]
                 yield from [(key, readings)] if len(readings) else []
             elif self._is_of_site(path, key):
                 yield from ((key, m) for p in payloads if (m := self._message(path, key, p)))
@@ -128,9 +118,7 @@ class MapStorage:
             )
         return topic is topics.DIAGNOSTICS or self._knows(key)
 
-    def _odometry_of(
-        self, path: Path, key: str, some: list[tuple[str, bytes]]
-    ) -> "_OdometryOfKey | None":
+    def _odometry_of(self, path: Path, key: str, some: list[tuple[str, bytes]]) -> Readings | None:
         """The odometry of a key, where it is that and all of it is sound."""
         if topics.topic_of(key) is not topics.ODOMETRY or not self._is_of_site(path, key):
             return None
@@ -139,8 +127,7 @@ class MapStorage:
             return None
         readings = Readings(*read)
         self._note(path, int(readings.stamps_ns.max()))
-        since_ns = self._needed_since_ns(key, Odometry)
-        return _OdometryOfKey(readings, readings.stamps_ns >= since_ns)
+        return readings
 
     def _message(self, path: Path, key: str, payload: bytes) -> Stored | None:
         """The message of a record; None where it is not to be used."""

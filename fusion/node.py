@@ -3,6 +3,7 @@
 import json
 import logging
 import threading
+from collections import deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -12,14 +13,13 @@ from trigpoint.base.ending import ENDING
 from trigpoint.base.errors import OperationError
 from trigpoint.bus.bus import Bus, Sample
 from trigpoint.contract import cdr, topics
-from trigpoint.contract.messages import CameraInfo, Message
+from trigpoint.contract.messages import CameraInfo, Message, OccupancyGrid
 from trigpoint.contract.topics import command_key
 from trigpoint.map.network import encode_network
 from trigpoint.node.node import Node
 from trigpoint.node.watchdog import Pulse
 from trigpoint.security.authenticator import correction_signer
 
-from .answers import ANSWER_S, map_answer, solved
 from .checkpoint import CHECKPOINT
 from .coverage.announced import AnnouncedMap
 from .diagnostics import Diagnostics
@@ -29,9 +29,8 @@ from .fixed.network import FixedNetwork
 from .holding import Holding
 from .inbox import Inbox
 from .intake.admission import Admission
-from .last_solution import WRITING_S, save_last
-from .live.coverage_thread import CoverageThread
-from .live.guidance_thread import GuidanceThread
+from .last_solution import ANSWER_S, WRITING_S, save_last, solved
+from .live.coverage_thread import cover
 from .live.solver_messages import Solver
 from .map_storage import MapStorage, Stored
 from .model.inputs import Inputs
@@ -41,7 +40,6 @@ from .pipeline_maker import PipelineMaker
 from .publishing import Publishing
 from .replaying import Replay
 from .solution_file import SolutionFile
-from .solver.snapshot import GuidanceWorld
 
 KIND = "fusion"
 NAME = "fusion"
@@ -56,8 +54,8 @@ _LAST_TAKING_NS = to_ns(0.25)
 _READ_AT_ONCE = 1024
 # A turn of a filter that has fallen behind on a small machine; beyond it the thread is hung.
 _TURN_MOST_S = 60.0
-# One robot's suggestions among a hundred cameras, on a small machine.
-_GUIDE_S = 120.0
+# A map of corrections among a hundred cameras, on a small machine.
+_COVER_S = 120.0
 
 _log = logging.getLogger(__name__)
 
@@ -87,11 +85,11 @@ class FusionNode:
         self._admission = Admission(inputs.site)
         self._pipeline = self._maker.make(self._holding.fixed, is_live=False)
         self._announced: dict[str, bytes] = {}
-        self._located_count = 0
         signer = correction_signer(inputs.site, clock)
         self._diagnostics = Diagnostics(inputs.site, self._admission)
         self._inbox = Inbox(bus, node, clock, self._admission, self._diagnostics)
         self._publishing = Publishing(bus, inputs.site, node.health, signer, self._inbox.delays)
+        self._grids = deque[OccupancyGrid](maxlen=1)  # to be sent
         self._longest_s = 0.0
         self._path = out / CHECKPOINT
         self._storage: MapStorage | None = None
@@ -102,9 +100,9 @@ class FusionNode:
         name = self._site.name
         self._inbox.open(name)
         self._node.health.gauge("waiting", lambda: self._pipeline.waiting)
-        self._node.health.gauge("cameras_located", lambda: self._located_count)
-        cameras = len(self._site.cameras)
-        self._node.health.gauge("cameras_undetermined", lambda: cameras - self._located_count)
+        count, cameras = lambda: self._pipeline.located_count, len(self._site.cameras)
+        self._node.health.gauge("cameras_located", count)
+        self._node.health.gauge("cameras_undetermined", lambda: cameras - count())
         self._node.health.gauge("worst_sigma_m", lambda: self._publishing.accuracy.worst_sigma_m)
         self._node.health.gauge("disk_free_bytes", lambda: free_bytes(self._out))
         for path, answer in (
@@ -118,12 +116,7 @@ class FusionNode:
         self._node.work("estimates", self._run, within_s=_TURN_MOST_S)
         stopping = self._node.stopping
         self._node.work("keeps", lambda p: self._solution.run(p, stopping), within_s=_TURN_MOST_S)
-        if not self._maker.makes_solvers:  # a solver also makes the suggestions
-            guide = GuidanceThread(self._bus, self._node, name, self._guidance_world)
-            self._node.work("guides", guide.run, within_s=_GUIDE_S)
-        announced = AnnouncedMap(self._site, self._inputs.targets)
-        cover = CoverageThread(self._bus, self._node, name, announced, self._covered)
-        self._node.work("covers", cover.run, within_s=_GUIDE_S)
+        self._node.work("covers", self._cover, within_s=_COVER_S)
 
     def finish(self) -> None:
         """Write the results, solved to the end where that is quick enough for a stop, after the
@@ -199,7 +192,8 @@ class FusionNode:
             self._storage.settle(self._pipeline.past)
             self._storage.flush()
             self._solution.keep(self._pipeline)
-        self._located_count = self._pipeline.located_count
+        while self._grids:
+            outputs.append(Output(topics.COVERAGE_GRID, "", self._grids.popleft()))
         return outputs
 
     def _push(self, sample: Sample, message: Message) -> None:
@@ -214,9 +208,10 @@ class FusionNode:
         if lost:
             self._node.health.lose("checkpoint", lost)
 
-    def _guidance_world(self) -> GuidanceWorld | None:
-        with self._lock:
-            return self._pipeline.guidance_world()
+    def _cover(self, pulse: Pulse) -> None:
+        announced = AnnouncedMap(self._site, self._inputs.targets)
+        wait = self._node.stopping.wait
+        cover(announced, self._covered, self._grids.append, wait=wait, beat=pulse.beat)
 
     def _covered(self) -> Results | None:
         """What the map of corrections is made of; None where a solver makes it, or of nothing."""
@@ -375,7 +370,10 @@ class FusionNode:
     def _answer_map(self, _request: bytes) -> bytes:
         self._wait_for_the_checkpoint()
         with self._lock:
-            return map_answer(self._pipeline.map_id)
+            map_id = self._pipeline.map_id
+        if map_id is None:
+            raise OperationError("there is no map yet: no odometry of the first robot has come")
+        return json.dumps({"map_id": str(map_id)}).encode()
 
     def _answer_reset(self, _request: bytes) -> bytes:
         with self._lock:

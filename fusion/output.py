@@ -6,10 +6,9 @@ from msgspec import Struct
 
 from trigpoint.base.words import plus_minus
 from trigpoint.contract import topics
-from trigpoint.contract.messages import Message, PoseEstimate, PoseStamped, Transforms
+from trigpoint.contract.messages import Message, PoseEstimate, Transforms
 from trigpoint.contract.topics import Topic
 
-from .live.solver_messages import Covered, Suggested
 from .model.observations import Observation
 
 
@@ -22,14 +21,6 @@ class Output(Struct, frozen=True):
     message: Message
     attachment: bytes = b""
     observation: Observation | None = None
-
-
-def output_of(news: Suggested | Covered) -> Output:
-    """What a solver found that is to be sent as it is."""
-    if isinstance(news, Covered):
-        return Output(topics.COVERAGE_GRID, "", news.grid)
-    message = PoseStamped(news.stamp_ns, "map", news.map_from_base)
-    return Output(topics.SUGGESTION, news.robot, message)
 
 
 class CameraAccuracy:

@@ -18,22 +18,17 @@ from .estimators.residuals import CameraResiduals
 from .estimators.results import Results, map_id_of
 from .fixed.network import FixedNetwork
 from .intake.arrivals import Arrivals
-from .intake.event_log import EventLog
-from .intake.left_out import LeftOut
 from .intake.message_intake import Intake
 from .intake.nudges import Nudges
-from .intake.robot_identity import RobotIdentification
-from .intake.standstills import Standstills
 from .live.follower import Follower
-from .live.settling import SettlingSchedule
-from .live.solver_messages import Solution, Solver
+from .live.solver_messages import Solved, Solver
 from .model.dataset import Conclusions, Event
 from .model.inputs import Inputs
 from .model.observations import Observation
 from .model.odometry import Added
 from .model.past import Past
 from .model.readings import Readings
-from .output import Output, output_of
+from .output import Output
 from .robot_announcements import RobotAnnouncements
 from .solver.filter import RobotEstimate
 from .solver.snapshot import GuidanceWorld
@@ -62,19 +57,12 @@ class Pipeline:
         inputs = inputs if fixed is None else fixed.inputs(inputs)
         self.site, self.inputs = inputs.site, inputs
         data = self._data = inputs.data_set()
-        shared = RobotIdentification(data)
-        found = estimating(data, solver, fixed, shared.forget)
-        self._estimator, self._follower = found.estimator, found.follower
-        self.reports = found.reports
-        self._intake = Intake(
-            inputs.site, inputs.targets, shared=shared, standstills=Standstills(data.tracks)
-        )
+        self._intake = Intake(data)
+        self._left_out = self._intake.left_out
+        self._estimator, self.reports = estimating(data, solver, fixed, self._intake.forget)
+        self._follower = self.reports if isinstance(self.reports, Follower) else None
         self.arrivals = Arrivals(inputs.site, data.tracks)
-        self._left_out = LeftOut()
-        self._events = EventLog(self._left_out)
         self._outputs: list[Output] = []
-        self._used_ns = 0
-        self._schedule = SettlingSchedule()
         self._cameras = CameraAnnouncements(inputs.targets[inputs.site.first_robot])
         self._robots = RobotAnnouncements(inputs.site.fusion.correction_rate)
         self._early: list[tuple[str, Sightings]] = []
@@ -101,18 +89,19 @@ class Pipeline:
     @property
     def last_problem(self) -> str:
         """The last message that could not be used, as text; "" where there was none."""
-        return self._left_out.last_problem or self._intake.left_out.last_problem
+        return self._left_out.last_problem
 
     @property
     def problems(self) -> dict[str, str]:
         """Reason of `left_out` -> the last such problem, as text, where it is known."""
-        return self._intake.left_out.problems | self._left_out.problems
+        return self._left_out.problems
 
     @property
     def notes(self) -> list[str]:
         """What a user should know of the session, as text: each event (at most the last hundred),
         the last problem with messages for each reason, what they lacked, and what is in doubt."""
-        return [*self._events.texts, *self.problems.values(), *self.arrivals.notes]
+        events = [event.text for event in self._left_out.events]
+        return [*events, *self.problems.values(), *self.arrivals.notes]
 
     @property
     def stale_ns(self) -> dict[str, int]:
@@ -149,12 +138,12 @@ class Pipeline:
     def left_out(self) -> dict[str, int]:
         """What was not used, or not in full, by reason; events too, each by its kind."""
         early = Counter(without_intrinsics=len(self._early))
-        return dict(self._intake.left_out.counts + self._left_out.counts + early)
+        return dict(self._left_out.counts + early)
 
     @property
     def messages_left_out(self) -> dict[str, int]:
         """What of `left_out` are messages: all but the events."""
-        kinds = self._events.kinds
+        kinds = {event.kind for event in self._left_out.events}
         return {reason: count for reason, count in self.left_out.items() if reason not in kinds}
 
     # -- input ------------------------------------------------------------------------------------
@@ -199,7 +188,7 @@ class Pipeline:
         moves = self.nudges.new_in(message)
         for move in moves:
             self._estimator.camera_moved(move)
-            self._events.add(Event("camera_nudged", self.nudges.words(move.camera)))
+            self._left_out.happened(Event("camera_nudged", self.nudges.words(move.camera)))
         return bool(moves)
 
     def _push_camera_info(self, camera: str, message: CameraInfo) -> bool:
@@ -240,7 +229,7 @@ class Pipeline:
         self._left_out.add("without_intrinsics")
         return False
 
-    def resumed(self, *, is_new: bool = False, solution: Solution | None = None) -> bool:
+    def resumed(self, *, is_new: bool = False, solution: Solved | None = None) -> bool:
         """Say that what was pushed so far came from a checkpoint: it is all used at once.
 
         Whoever wrote it may have sent more corrections than it shows. `is_new`: nothing was in it.
@@ -274,14 +263,11 @@ class Pipeline:
             self._intake.tell_by_place(self._estimator)
         if self._follower is not None:
             self._attend(self._follower)
-            is_old, is_idle = all(o.is_repeat for o in used), self._follower.is_idle
-            if now_ns is not None and self._schedule.is_due(
-                now_ns, is_quiet=is_old, is_idle=is_idle
-            ):
+            is_new = not all(observation.is_repeat for observation in used)
+            if now_ns is not None and self._follower.is_to_settle(now_ns, is_new=is_new):
                 self._explain_all()
-        # Live, cameras are announced also while none of them sees a robot: no transform grows old.
-        used_ns = 0 if self._is_live else self._used_ns
-        stamp_ns = used_ns or self._data.last_ns
+        # Cameras are announced also while none of them sees a robot: no transform grows old.
+        stamp_ns = self._data.last_ns
         if self._cameras.is_due(stamp_ns, is_quiet=is_quiet):
             self._take_cameras(stamp_ns, is_urgent=False)
         self._outputs += self._cameras.next(is_quiet=is_quiet)
@@ -300,9 +286,9 @@ class Pipeline:
     def _attend(self, follower: Follower) -> None:
         for news in follower.attend():
             if isinstance(news, Event):
-                self._events.add(news)
+                self._left_out.happened(news)
             else:
-                self._outputs.append(output_of(news))
+                self._outputs.append(news)
         if follower.take_new_camera():
             self._take_cameras(self._data.last_ns, is_urgent=True)
 
@@ -326,13 +312,12 @@ class Pipeline:
             if not observation.is_repeat:
                 self._estimator.collect(observation)
             return
-        self._used_ns = observation.stamp_ns
         update = self._estimator.add_observation(observation)
         if update.problem:
             self._left_out.add("unusable", update.problem)
         if update.contradiction is not None:
             self._left_out.add("against_the_map", update.contradiction)
-        self._events.take_from(self._data)
+        self._left_out.take_from(self._data)
         if update.correction is not None and not is_late:
             self._correct(observation, update.correction)
         if update.located:
@@ -367,7 +352,7 @@ class Pipeline:
         while self._intake.tell_by_place(self._estimator, is_end=True):
             self._use_rest()
             self._explain_all()
-        self._events.take_from(self._data)
+        self._left_out.take_from(self._data)
         self._take_cameras(self._data.last_ns, is_urgent=True)
         self._outputs += self._cameras.rest()
         return self.advance()

@@ -23,11 +23,6 @@ class PipelineMaker:
         self._inputs, self._folder, self._make_solver = inputs, folder, make_solver
         self.solver: Solver | None = None
 
-    @property
-    def makes_solvers(self) -> bool:
-        """Whether a map that is learnt has a solver."""
-        return self._make_solver is not None
-
     def make(self, fixed: FixedNetwork | None, *, is_live: bool = True) -> Pipeline:
         """The pipeline of a map that is held, or else begins or goes on from its past; the solver
         of the one before ends."""

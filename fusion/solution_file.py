@@ -20,7 +20,7 @@ from trigpoint.geometry.rotation import Array
 from trigpoint.node.watchdog import Pulse
 
 from .checked_file import checked_body, save_checked
-from .live.solver_messages import Solution, Solved
+from .live.solver_messages import Shares, Solved
 from .model.dataset import Conclusions
 from .model.inputs import Inputs
 from .model.known_cameras import Creep
@@ -31,7 +31,7 @@ from .solver.gaussian import Gaussian
 
 SOLUTION = "solution.bin"
 """Its name in the folder of a map."""
-_MAGIC = b"trigpoint-solution/2\n"  # another number with each change of what is in it
+_MAGIC = b"trigpoint-solution/3\n"  # another number with each change of what is in it
 _LENGTH = 8  # bytes of the document's, which is followed by the covariance
 _LOOK_S = 1.0
 
@@ -39,8 +39,7 @@ _log = logging.getLogger(__name__)
 
 
 class _Document(msgspec.Struct):
-    """`inputs`: a digest of what the solution rests on beside messages, the program too; `shares`:
-    camera, robot, stamp and share."""
+    """`inputs`: a digest of what the solution rests on beside messages, the program too."""
 
     inputs: bytes
     map_id: str
@@ -49,7 +48,7 @@ class _Document(msgspec.Struct):
     stamps_ns: dict[str, int]
     layout: Layout
     mean: Array
-    shares: list[tuple[str, str, int, float]]
+    shares: Shares
     conclusions: Conclusions
     located: tuple[str, ...]
 
@@ -61,9 +60,9 @@ class SolutionFile:
     def __init__(self, folder: Path, inputs: Inputs) -> None:
         self._path, self._inputs = folder / SOLUTION, _digest(inputs)
         self._creep = Creep.of_all(inputs.site.cameras)
-        self._kept: Solution | None = None
+        self._kept: Solved | None = None
         self._lock = Lock()
-        self._unwritten = deque[tuple[Solution, UUID | None]](maxlen=1)
+        self._unwritten = deque[tuple[Solved, UUID | None]](maxlen=1)
 
     def keep(self, pipeline: Pipeline) -> None:
         """Have the last solution written where it is a new one."""
@@ -85,10 +84,10 @@ class SolutionFile:
             while self._unwritten:
                 self._write(*self._unwritten.popleft())
 
-    def _write(self, solution: Solution, map_id: UUID | None) -> None:
+    def _write(self, solution: Solved, map_id: UUID | None) -> None:
         document = self._document(solution, map_id)
         packed = msgspec.msgpack.encode(document, enc_hook=_plain)
-        covariance = np.ascontiguousarray(solution.solved.known.known.covariance).data.cast("B")
+        covariance = np.ascontiguousarray(solution.known.known.covariance).data.cast("B")
         # The covariance is not copied, and written without the interpreter's lock.
         body = len(packed).to_bytes(_LENGTH, "little"), packed, covariance
         try:
@@ -109,7 +108,7 @@ class SolutionFile:
             except OSError as reason:
                 _log.warning("%s: not removed (%s)", self._path, reason.strerror)
 
-    def load(self, map_id: UUID | None, now_ns: int) -> Solution | None:
+    def load(self, map_id: UUID | None, now_ns: int) -> Solved | None:
         """The last solution of this map, with its cameras as uncertain as they may have crept until
         now; None where there is none, or where it rests on another site file, on other targets or
         lenses, or is damaged or another version's."""
@@ -134,32 +133,36 @@ class SolutionFile:
             return None
         return self._solution(document, covariance, now_ns)
 
-    def _document(self, solution: Solution, map_id: UUID | None) -> _Document:
-        solved, known = solution.solved, solution.solved.known
+    def _document(self, solved: Solved, map_id: UUID | None) -> _Document:
+        known = solved.known
         return _Document(
             inputs=self._inputs,
             map_id=str(map_id),
-            until_ns=solution.until_ns,
+            until_ns=solved.until_ns,
             state=known.state,
             stamps_ns=known.stamps_ns,
             layout=known.layout,
             mean=known.known.mean,
-            shares=[(*pair, *share) for pair, share in solved.shares.items()],
+            shares=solved.shares,
             conclusions=solved.conclusions,
             located=solved.located,
         )
 
-    def _solution(self, document: _Document, covariance: Array, now_ns: int) -> Solution:
+    def _solution(self, document: _Document, covariance: Array, now_ns: int) -> Solved:
         source = Gaussian.of(document.mean, covariance)
         known = Filter(document.state, document.stamps_ns, document.layout, source)
         crept = {
             camera: self._creep[camera].covariance(now_ns - document.until_ns)
             for camera in known.layout.pose.keys() & self._creep.keys()
         }
-        shares = {(camera, robot): (at, share) for camera, robot, at, share in document.shares}
-        conclusions, located = document.conclusions, document.located
-        solved = Solved(0, known.spread(crept), shares, conclusions, located)
-        return Solution(solved, document.until_ns)
+        return Solved(
+            0,
+            known.spread(crept),
+            document.shares,
+            document.conclusions,
+            document.located,
+            document.until_ns,
+        )
 
 
 def _digest(inputs: Inputs) -> bytes:

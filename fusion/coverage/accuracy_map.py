@@ -5,11 +5,12 @@ for the middle heading: in more than half of the headings it is so good or bette
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from msgspec import Struct
 
+from trigpoint.contract.coverage import MOST_MM, NOT_CORRECTED, UNKNOWN
 from trigpoint.fusion.reading.sight import information_at
 from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.samples import unique
@@ -134,9 +135,9 @@ def accuracy_map(
     sees = np.zeros(without.shape, dtype=bool)
     for tile in floor.tiles():
         cells = tile if wanted is None else tile[wanted[tile]]
-        found = _tile(network, carried, centres[cells])
-        by_heading[cells], cameras[cells] = found.by_heading, found.cameras
-        without[:, cells], sees[:, cells] = found.without, found.sees
+        by_heading[cells], cameras[cells], sees[:, cells], without[:, cells] = _tile(
+            network, carried, centres[cells]
+        )
         step(len(tile))
     is_floor = wanted
     if is_floor is None:
@@ -145,16 +146,10 @@ def accuracy_map(
     return AccuracyMap(carried.robots, floor, names, by_heading, cameras, sees, without, is_floor)
 
 
-class _Tile(Struct, frozen=True, eq=False):
-    """Some cells of an AccuracyMap."""
-
-    by_heading: Array
-    cameras: np.ndarray
-    sees: np.ndarray
-    without: Array
-
-
-def _tile(network: KnownNetwork, carried: Carried, places: Array) -> _Tile:
+def _tile(
+    network: KnownNetwork, carried: Carried, places: Array
+) -> tuple[Array, np.ndarray, np.ndarray, Array]:
+    """`by_heading`, `cameras`, `sees` and `without` of some cells, as in AccuracyMap."""
     pictures = _pictures(network, carried, places)
     poses = len(places) * HEADINGS
     errors = expected_errors(pictures, poses, network.covariance, carried.tangent)
@@ -168,7 +163,7 @@ def _tile(network: KnownNetwork, carried: Carried, places: Array) -> _Tile:
         failed[pictures.pose[mine]] = errors.without[mine]
         without[camera] = middle(failed.reshape(-1, HEADINGS))
         sees[camera, pictures.pose[mine] // HEADINGS] = True
-    return _Tile(whole, cameras, sees, without)
+    return whole, cameras, sees, without
 
 
 def _pictures(network: KnownNetwork, carried: Carried, places: Array) -> Pictures:
@@ -189,3 +184,15 @@ def _pictures(network: KnownNetwork, carried: Carried, places: Array) -> Picture
         return Pictures(nothing, nothing, np.zeros((0, 6, 6)), np.zeros((0, 3)))
     found = Pictures(*(np.concatenate(part) for part in (pose, camera, information, arm)))
     return found.where(np.argsort(found.pose, kind="stable"))
+
+
+def grid_values(maps: Sequence[AccuracyMap]) -> np.ndarray:
+    """Maps as a planner takes them: the values (n,) int8 of all cells, row by row from the lower
+    left. Whole millimetres of the error radius in the middle heading, MOST_MM for all that is
+    larger; NOT_CORRECTED where a robot is not corrected, UNKNOWN where nothing says that the cell
+    is floor. Of several targets, the one that is corrected worst."""
+    errors = np.max([each.error_m for each in maps], axis=0)
+    is_floor = np.any([each.is_floor for each in maps], axis=0)
+    millimetres = np.floor(1000 * np.where(np.isfinite(errors), errors, 0.0))
+    values = np.where(np.isfinite(errors), np.minimum(millimetres, MOST_MM), NOT_CORRECTED)
+    return np.where(is_floor, values, UNKNOWN).astype(np.int8)

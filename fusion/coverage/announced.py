@@ -7,14 +7,12 @@ import numpy as np
 from trigpoint.contract.messages import OccupancyGrid
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
-from trigpoint.geometry.samples import unique
 from trigpoint.map.network import Network
 from trigpoint.site.config import Site
 from trigpoint.site.target import Target
 
-from .accuracy_map import accuracy_map
-from .floor import floor_of
-from .grid import grid_values
+from .accuracy_map import accuracy_map, grid_values
+from .floor import each_decimetre, floor_of
 from .known_network import KnownNetwork, carried_by, known_network
 
 PERIOD_S = 15.0
@@ -48,8 +46,7 @@ class AnnouncedMap:
         known = known_network(network, covariance)
         if self._before is not None and not differs(self._before, known):
             return None
-        driven = [poses.translation[:, :2] for _, poses in trajectories.values()]
-        places = unique(np.round(np.concatenate([np.zeros((0, 2)), *driven]), 1), axis=0)
+        places = each_decimetre([poses.translation for _, poses in trajectories.values()])
         carried = carried_by(self._site.robots, self._targets, network)
         floor = floor_of(known, carried, places, most_cells=MOST_CELLS)
         if not floor.rows:

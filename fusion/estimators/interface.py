@@ -1,6 +1,6 @@
 """What every estimator offers to the pipeline."""
 
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from msgspec import Struct
@@ -53,7 +53,7 @@ class Update(Struct, frozen=True):
     contradiction: str | None = None
 
 
-class Trajectory(Struct, frozen=True):
+class Trajectory(NamedTuple):
     """A robot's trajectory: `map_from_base` (n) at each odometry message's stamp (n,)."""
 
     stamps_ns: np.ndarray
@@ -61,7 +61,8 @@ class Trajectory(Struct, frozen=True):
 
 
 class Live(Protocol):
-    """Odometry and observations in, the robots' and the cameras' poses out. Not thread-safe."""
+    """Odometry and observations in, the robots' and the cameras' poses out. Not thread-safe. What
+    an estimator does not work out is None, as it is here."""
 
     def add_odometry(self, robot: str, readings: Readings) -> list[int]:
         """Take a robot's odometry, one message after the other; what became of each, `Added`."""
@@ -94,14 +95,14 @@ class Live(Protocol):
         """The robot at its last odometry message; None while it is not located in the map."""
         ...
 
-    def particles(self, robot: str) -> Pose | None:
+    def particles(self, robot: str) -> Pose | None:  # noqa: ARG002
         """Samples of the robot's pose at its last odometry message, all equally likely; None where
         the estimator has none."""
-        ...
+        return None
 
-    def trajectory(self, robot: str) -> Trajectory | None:
+    def trajectory(self, robot: str) -> Trajectory | None:  # noqa: ARG002
         """The robot's trajectory from its first message; None where that is not known."""
-        ...
+        return None
 
     def cameras(self) -> dict[str, CameraEstimate]:
         """The located cameras."""
@@ -115,12 +116,12 @@ class Live(Protocol):
     def guidance_world(self) -> GuidanceWorld | None:
         """A copy of what is known for guidance to work on; None where there is too little yet, or
         the estimator does not solve for all poses of the robot at once."""
-        ...
+        return None
 
-    def residuals(self, camera: str) -> CameraResiduals | None:
+    def residuals(self, camera: str) -> CameraResiduals | None:  # noqa: ARG002
         """The residuals of a camera's corners at the last solution; None where the estimator does
         not solve for all poses of the robot at once."""
-        ...
+        return None
 
 
 class Estimator(Live, Protocol):

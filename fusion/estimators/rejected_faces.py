@@ -1,6 +1,6 @@
 """Faces most of whose sightings contradict the rest: wrong ones are rare, and not one face's."""
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator
 
 from trigpoint.fusion.model.dataset import DataSet
@@ -10,23 +10,22 @@ from trigpoint.fusion.model.observations import Observation, Verdict
 # camera alone contradicts may be the camera's fault, or one bad passing's.
 _LEAST_OF_FACE, _LEAST_OF_ALL, _LEAST_CAMERAS = 3, 6, 2
 _MOST_OF_FACE, _MOST_OF_ALL = 3 / 4, 1 / 3
-_Faces = Counter[tuple[str, int]]
-_By = dict[tuple[str, int], set[str]]
-"""Robot and face -> the cameras that contradict it."""
+_Seen = Counter[tuple[str, int]]
+_Against = defaultdict[tuple[str, int], list[str]]
+"""Robot and face -> the camera of each sighting that contradicts the rest."""
 
 
 def rejected_faces(data: DataSet) -> tuple[str, ...]:
     """A line for each face that what else was seen contradicts, or one for a robot's target, where
     that holds for other faces too; of sightings whose camera is located and whose face the picture
     tells."""
-    seen, rejected, by = _Faces(), _Faces(), _By()
+    seen, against = _Seen(), _Against(list)
     for entry in data.entries:
-        _count(entry.observation, seen, rejected, by)
-    robots = data.site.robots
-    return tuple(line for robot in robots for line in _lines(data, robot, seen, rejected, by))
+        _count(entry.observation, seen, against)
+    return tuple(line for robot in data.site.robots for line in _lines(data, robot, seen, against))
 
 
-def _count(observation: Observation, seen: _Faces, rejected: _Faces, by: _By) -> None:
+def _count(observation: Observation, seen: _Seen, against: _Against) -> None:
     if observation.verdict is Verdict.PENDING or observation.is_repeat:
         return
     is_whole = observation.verdict is Verdict.REJECTED
@@ -38,25 +37,24 @@ def _count(observation: Observation, seen: _Faces, rejected: _Faces, by: _By) ->
         seen[key] += 1
         wild = observation.outliers[number] if observation.outliers else None
         if is_whole or (wild is not None and bool(wild.all())):
-            rejected[key] += 1
-            by.setdefault(key, set()).add(observation.camera)
+            against[key].append(observation.camera)
 
 
-def _lines(data: DataSet, robot: str, seen: _Faces, rejected: _Faces, by: _By) -> Iterator[str]:
+def _lines(data: DataSet, robot: str, seen: _Seen, against: _Against) -> Iterator[str]:
     mine = [key for key in seen if key[0] == robot]
-    if len(set[str]().union(*(by.get(key, ()) for key in mine))) < _LEAST_CAMERAS:
+    if len({camera for key in mine for camera in against[key]}) < _LEAST_CAMERAS:
         return
     wrong = [
         key
         for key in mine
-        if rejected[key] >= _LEAST_OF_FACE
-        and rejected[key] > _MOST_OF_FACE * seen[key]
-        and len(by[key]) >= _LEAST_CAMERAS
+        if len(against[key]) >= _LEAST_OF_FACE
+        and len(against[key]) > _MOST_OF_FACE * seen[key]
+        and len(set(against[key])) >= _LEAST_CAMERAS
     ]
     others = [key for key in mine if key not in wrong]
-    count, bad = (sum(kind[key] for key in others) for kind in (seen, rejected))
-    if bad >= _LEAST_OF_ALL and bad > _MOST_OF_ALL * count:
-        count, bad = (sum(kind[key] for key in mine) for kind in (seen, rejected))
+    bad = sum(len(against[key]) for key in others)
+    if bad >= _LEAST_OF_ALL and bad > _MOST_OF_ALL * sum(seen[key] for key in others):
+        count, bad = sum(seen[key] for key in mine), sum(len(against[key]) for key in mine)
         yield (
             f"{bad} of {count} sightings of {robot} contradict the rest; measure the squares of "
             "its print (printers scale), and compare the faces' places in the target file and the "
@@ -64,9 +62,9 @@ def _lines(data: DataSet, robot: str, seen: _Faces, rejected: _Faces, by: _By) -
         )
         return
     for key in wrong:
-        face = data.targets[robot].faces[key[1]].id
+        face, bad = data.targets[robot].faces[key[1]].id, len(against[key])
         yield (
-            f"{rejected[key]} of {seen[key]} sightings of face {face} of {robot} contradict the "
-            "rest; compare its translation, quaternion and size in the target file with the robot: "
-            "two faces may be exchanged, or one upside down"
+            f"{bad} of {seen[key]} sightings of face {face} of {robot} contradict the rest; "
+            "compare its translation, quaternion and size in the target file with the robot: two "
+            "faces may be exchanged, or one upside down"
         )

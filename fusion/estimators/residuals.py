@@ -17,9 +17,7 @@ class CameraResiduals(Struct, frozen=True, eq=False):
     `places` (m, 3): where the robots stood in all of its observations, as far as that is known.
     `pixels` (n, 2): where they were seen; `residual_px` (n, 2): predicted minus seen; `sigma_px`
     (n,): of a coordinate, as the detector stated it; `used` (n,) bool: False for outliers, which
-    were left out. `used_sightings`, `rejected`: the sightings (faces) that the estimate of a
-    located camera uses, and those that it does not; `pending`: those of a camera that is not
-    located.
+    were left out.
     """
 
     places: Array
@@ -27,9 +25,6 @@ class CameraResiduals(Struct, frozen=True, eq=False):
     residual_px: Array
     sigma_px: Array
     used: np.ndarray
-    used_sightings: int
-    rejected: int
-    pending: int
 
     @property
     def in_sigmas(self) -> Array:
@@ -45,17 +40,8 @@ def camera_residuals(
     batches = [b for b in problem.batches if b.camera in names] if problem is not None else []
     parts = [_corners(data, batch, state) for batch in batches]
     entries = [entry for name in names for entry in data.of_camera(name)]
-    sightings = sum(len(entry.observation.views) for entry in entries)
-    used = sum(entry.observation.used_views for entry in entries)
-    is_located = camera in state.cameras
     joined = [np.concatenate(part) for part in zip(*parts, strict=True)] if parts else _none()
-    return CameraResiduals(
-        _places(entries),
-        *joined,
-        used_sightings=used,
-        rejected=sightings - used if is_located else 0,
-        pending=0 if is_located else sightings - used,
-    )
+    return CameraResiduals(_places(entries), *joined)
 
 
 def _places(entries: list[Entry]) -> Array:

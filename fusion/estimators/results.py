@@ -26,7 +26,7 @@ from trigpoint.map.network import (
 )
 
 from .crept import newest_ns
-from .interface import CameraEstimate, Estimator
+from .interface import CameraEstimate, Estimator, Trajectory
 from .noise_lines import noise_lines
 from .rejected_faces import rejected_faces
 
@@ -57,21 +57,16 @@ def map_id_of(data: DataSet) -> UUID | None:
     return uuid5(NAMESPACE_URL, f"trigpoint:{data.site.name}/{first}/{since_ns}")
 
 
-def results_of(data: DataSet, estimator: Estimator, map_id: UUID | None) -> Results:
+def results_of(data: DataSet, estimator: Estimator) -> Results:
     """Collect everything that is known now."""
+    map_id = map_id_of(data)
     located, undetermined = estimator.cameras(), estimator.undetermined()
     cameras = {
         name: _camera(data, estimator, name, located.get(name), undetermined.get(name))
         for name in data.site.cameras
     }
-    trajectories = {}
-    for name in data.site.robots:
-        trajectory = estimator.trajectory(name)
-        if trajectory is not None:
-            trajectories[name] = (trajectory.stamps_ns, trajectory.map_from_base)
-    robots = {
-        name: _robot(data, estimator, name, trajectories.get(name)) for name in data.site.robots
-    }
+    ways = {name: estimator.trajectory(name) for name in data.site.robots}
+    robots = {name: _robot(data, estimator, name, way) for name, way in ways.items()}
     until_ns = newest_ns(data)
     network = Network(
         site=data.site.name,
@@ -83,7 +78,11 @@ def results_of(data: DataSet, estimator: Estimator, map_id: UUID | None) -> Resu
         until=str(until_ns) if until_ns is not None else None,
     )
     return Results(
-        network, estimator.joint_covariance(), trajectories, noise_lines(data), rejected_faces(data)
+        network,
+        estimator.joint_covariance(),
+        {name: way for name, way in ways.items() if way is not None},
+        noise_lines(data),
+        rejected_faces(data),
     )
 
 
@@ -148,7 +147,7 @@ def earlier_poses(moves: Iterable[Move], camera: str) -> tuple[EarlierPose, ...]
 
 
 def _robot(
-    data: DataSet, estimator: Estimator, name: str, trajectory: tuple[np.ndarray, Pose] | None
+    data: DataSet, estimator: Estimator, name: str, trajectory: Trajectory | None
 ) -> RobotRecord:
     target, track = data.targets[name], data.tracks[name]
     base_from_face = estimator.base_from_faces(name)
@@ -157,8 +156,8 @@ def _robot(
         record = PoseRecord.of(base_from_face[index])
         faces.append(FaceRecord(face.id, record.translation, record.quaternion))
     map_from_odom = None
-    if trajectory is not None and len(track) and trajectory[0][-1] == track.last_ns:
-        map_from_odom = PoseRecord.of(trajectory[1][-1] @ track.reported.inverse())
+    if trajectory is not None and len(track) and trajectory.stamps_ns[-1] == track.last_ns:
+        map_from_odom = PoseRecord.of(trajectory.map_from_base[-1] @ track.reported.inverse())
     distance_scale, heading_scale = (1 + estimator.scales(name)).tolist()
     return RobotRecord(
         trajectory=f"{name}.tum" if trajectory is not None else None,

@@ -8,18 +8,15 @@ sighting do not depend on how long that goes on.
 from collections import Counter
 from collections.abc import Callable
 
+from msgspec.structs import replace
+
 from trigpoint.base.clock import to_ns
 from trigpoint.base.words import counted
-from trigpoint.fusion.estimators.interface import CameraEstimate, Trajectory, Update
-from trigpoint.fusion.estimators.residuals import CameraResiduals
-from trigpoint.fusion.estimators.results import Results
+from trigpoint.fusion.estimators.interface import CameraEstimate, Live, Update
 from trigpoint.fusion.model.dataset import CameraMove, Conclusions, DataSet
-from trigpoint.fusion.model.known_cameras import KnownCameras
 from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.model.readings import Readings
 from trigpoint.fusion.solver.filter import RobotEstimate
-from trigpoint.fusion.solver.snapshot import GuidanceWorld
-from trigpoint.geometry import Pose
 
 from .network import FixedNetwork
 from .placing import Placing
@@ -30,20 +27,19 @@ MOST_ODOMETRY = 4096
 _WIDENED_EVERY_NS = to_ns(3600.0)
 
 
-class FixedMap:
-    """See `Live` and `Reports`. Not thread-safe. `forget`: called where the odometry's past was
+class FixedMap(Live):
+    """See `Live`. Not thread-safe. `forget`: called where the odometry's past was
     dropped, for others to drop what refers to it."""
 
     def __init__(self, data: DataSet, fixed: FixedNetwork, forget: Callable[[], None]) -> None:
         self.data, self.fixed, self._forget = data, fixed, forget
         if fixed.learnt is not None:
-            data.conclude(Conclusions((), {}, fixed.learnt.noise, fixed.learnt.jitter, {}))
+            whole, learnt = dict.fromkeys(data.tracks, ()), fixed.learnt
+            data.conclude(Conclusions((), whole, learnt.noise, learnt.jitter, {}))
         self._placings = {robot: Placing(data, fixed, robot) for robot in data.site.robots}
         self._cameras = fixed.known
         self._estimates: dict[str, CameraEstimate] = {}
         self._contradictions: Counter[str] = Counter()
-        self.is_answered = self.is_final = self.has_results = True
-        self.solution = None
 
     # -- input ------------------------------------------------------------------------------------
 
@@ -84,11 +80,10 @@ class FixedMap:
                 "learnt anew"
             )
         seen = observation.scattering(self._scatter(observation))
-        placed = self._placings[seen.robot].take(seen, self._cameras)
-        if placed.problem:
-            return Update(problem=f"a sighting of {seen.camera} is unusable ({placed.problem})")
-        said = self._contradiction(seen) if placed.contradicts else None
-        return Update(placed.correction, contradiction=said)
+        update = self._placings[seen.robot].take(seen, self._cameras)
+        if update.contradiction is None:
+            return update
+        return replace(update, contradiction=self._contradiction(seen))
 
     def camera_moved(self, move: CameraMove) -> None:
         self.data.tell(move)
@@ -128,14 +123,6 @@ class FixedMap:
     def robot(self, robot: str) -> RobotEstimate | None:
         return self._placings[robot].estimate()
 
-    def particles(self, robot: str) -> Pose | None:
-        assert robot in self.data.site.robots
-        return None
-
-    def trajectory(self, robot: str) -> Trajectory | None:
-        assert robot in self.data.site.robots
-        return None  # the past is not kept
-
     def cameras(self) -> dict[str, CameraEstimate]:
         if not self._estimates:
             self._estimates = self.fixed.estimates(self._cameras)
@@ -143,25 +130,5 @@ class FixedMap:
         return {name: each for name, each in self._estimates.items() if name not in gone}
 
     @property
-    def known(self) -> KnownCameras:
-        """The cameras, as uncertain as they are now."""
-        return self._cameras
-
-    @property
     def located_count(self) -> int:
         return len(self.fixed.known.poses)
-
-    def guidance_world(self) -> GuidanceWorld | None:
-        return None  # nothing is to be improved
-
-    def residuals(self, camera: str) -> CameraResiduals | None:
-        assert camera in self.data.site.cameras
-        return None
-
-    # -- results ----------------------------------------------------------------------------------
-
-    def ask(self) -> None:
-        """The results are there."""
-
-    def results(self) -> Results:
-        return self.fixed.results

@@ -10,10 +10,10 @@ much as a lift. Corrections come from the only hypothesis that is left within th
 from collections import Counter
 
 import numpy as np
-from msgspec import Struct
 from numpy.linalg import LinAlgError
 
 from trigpoint.fusion.association.events import window
+from trigpoint.fusion.estimators.interface import Update
 from trigpoint.fusion.model.dataset import DataSet, Entry
 from trigpoint.fusion.model.known_cameras import KnownCameras
 from trigpoint.fusion.model.observations import Observation, Verdict
@@ -28,15 +28,6 @@ from .network import FixedNetwork
 _MOST = 16
 
 
-class Placed(Struct, frozen=True):
-    """What a sighting says: the correction that it makes, and whether it `contradicts` the place of
-    the robot or could not be used (`problem`)."""
-
-    correction: RobotEstimate | None = None
-    contradicts: bool = False
-    problem: str = ""
-
-
 class Placing:
     """One robot's hypotheses. Not thread-safe."""
 
@@ -45,11 +36,6 @@ class Placing:
         self._costs = Costs.of(data)
         self._found: list[Hypothesis] = []
         self._is_established = False
-
-    @property
-    def size(self) -> int:
-        """How many hypotheses there are."""
-        return len(self._found)
 
     @property
     def _best(self) -> Hypothesis | None:
@@ -69,25 +55,27 @@ class Placing:
         estimate = best.current.robot(self._robot)
         return estimate if estimate is not None and is_placed(estimate.covariance) else None
 
-    def take(self, observation: Observation, cameras: KnownCameras) -> Placed:
+    def take(self, observation: Observation, cameras: KnownCameras) -> Update:
         """Place the robot by a sighting of one of the map's cameras; `cameras`: as uncertain as
-        they are now."""
+        they are now. Of a sighting that contradicts the robot's place no more is said than that."""
         self._drop_lost(observation.stamp_ns)
         if observation.is_repeat:
-            return Placed(self._tried(observation))
+            return Update(self._tried(observation))
         verdicts, corrections = {}, {}
         for each in self._found:
             try:
                 verdicts[each], corrections[each] = each.use(observation)
             except (LinAlgError, ValueError) as reason:
-                return Placed(problem=str(reason))
+                camera = observation.camera
+                return Update(problem=f"a sighting of {camera} is unusable ({reason})")
         best = self._best
         contradicts = best is not None and verdicts[best] is Verdict.REJECTED
         if not self._found or set(verdicts.values()) == {Verdict.REJECTED}:
             self._begin(observation, cameras)
         self._prune()
         only = self._only
-        return Placed(corrections.get(only) if only is not None else None, contradicts)
+        correction = corrections.get(only) if only is not None else None
+        return Update(correction, contradiction="" if contradicts else None)
 
     @property
     def _only(self) -> Hypothesis | None:

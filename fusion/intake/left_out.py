@@ -1,19 +1,37 @@
-"""Counts what was not used, or not in full, and remembers why."""
+"""Counts what was not used, or not in full, and what happened; and remembers why."""
 
-from collections import Counter
+from collections import Counter, deque
+
+from trigpoint.fusion.model.dataset import DataSet, Event
+
+_MOST_EVENTS = 100
 
 
 class LeftOut:
-    """How often something was left out, by reason. `problems`: reason -> the last such problem, as
-    text, where it is known; `last_problem`: the last of all, "" where there was none."""
+    """How often something was left out, by reason, or happened, by kind. `problems`: reason -> the
+    last such problem, as text, where it is known; `last_problem`: the last of all, "" where there
+    was none; `events`: the last ones."""
 
     def __init__(self) -> None:
         self.counts: Counter[str] = Counter()
         self.problems: dict[str, str] = {}
         self.last_problem = ""
+        self.events = deque[Event](maxlen=_MOST_EVENTS)
 
     def add(self, reason: str, text: str = "", *, count: int = 1) -> None:
         """Count something; `text` says what is wrong and what to do about it."""
         self.counts[reason] += count
         if text:
             self.last_problem = self.problems[reason] = text
+
+    def happened(self, event: Event) -> None:
+        """Count and keep an event."""
+        self.counts[event.kind] += 1
+        self.last_problem = event.text
+        self.events.append(event)
+
+    def take_from(self, data: DataSet) -> None:
+        """Add the changes of the site that the estimator has found since."""
+        events, data.events = data.events, []
+        for event in events:
+            self.happened(event)

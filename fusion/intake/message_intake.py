@@ -12,10 +12,9 @@ from msgspec.structs import replace
 from trigpoint.base.clock import to_ns
 from trigpoint.contract.messages import FaceSighting, Sightings
 from trigpoint.fusion.estimators.interface import Live
+from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import Observation, View, observation_of, view_of
 from trigpoint.geometry import CameraModel
-from trigpoint.site.config import Site
-from trigpoint.site.target import Target
 
 from .arrivals import OFFSET_SIGMAS
 from .left_out import LeftOut
@@ -37,23 +36,13 @@ class _Waiting(NamedTuple):
 
 
 class Intake:
-    """Sightings on their way to the estimator. Not thread-safe.
+    """Sightings on their way to the estimator of a data set. Not thread-safe. `left_out`: every
+    message that is not used is counted here."""
 
-    `left_out`: every message that is not used is counted here. `shared`: identifies robots that
-    carry the same target; None: their sightings are left out. `standstills`: says which
-    observations repeat others.
-    """
-
-    def __init__(
-        self,
-        site: Site,
-        targets: dict[str, Target],
-        *,
-        shared: RobotIdentification | None = None,
-        standstills: Standstills | None = None,
-    ) -> None:
-        self._site, self._targets, self._shared = site, targets, shared
-        self._standstills = standstills
+    def __init__(self, data: DataSet) -> None:
+        site, targets = data.site, data.targets
+        self._site, self._targets, self._shared = site, targets, RobotIdentification(data)
+        self._standstills = Standstills(data.tracks)
         self.left_out = LeftOut()
         self._waiting: dict[str, list[_Waiting]] = {robot: [] for robot in site.robots}
         self._seen: dict[str, dict[int, None]] = {camera: {} for camera in site.cameras}
@@ -122,73 +111,67 @@ class Intake:
         eye = self._site.cameras[camera]
         for face in message.faces:
             robots = self._robots_of(face)
-            if len(robots) > 1 and self._shared is not None:
-                by_twin = {
-                    twin: view_of(self._targets[twin], face, eye)
-                    for twin in {self._twins[robot] for robot in robots}
-                }
-                by_robot = {robot: by_twin[self._twins[robot]] for robot in robots}
-                possible = {robot: view for robot, view in by_robot.items() if view is not None}
-                if possible:
-                    shared.append(possible)
-                    continue
-                robots = robots[:1]
-            if len(robots) != 1:
+            by_twin = {
+                twin: view_of(self._targets[twin], face, eye)
+                for twin in {self._twins[robot] for robot in robots}
+            }
+            by_robot = {robot: by_twin[self._twins[robot]] for robot in robots}
+            possible = {robot: view for robot, view in by_robot.items() if view is not None}
+            if not robots:
                 self.left_out.add(
                     "unknown_target",
-                    f"camera {camera} sees a target «{face.target}» that "
-                    f"{len(robots) or 'no'} robots carry; give each robot its own target",
+                    f"camera {camera} sees a target «{face.target}» that no robots carry; give "
+                    "each robot its own target",
                 )
-                continue
-            view = view_of(self._targets[robots[0]], face, eye)
-            if view is None:
+            elif not possible:
                 self.left_out.add(
                     "unknown_face",
                     f"camera {camera} sees a face {face.face} that the target "
                     f"«{self._targets[robots[0]].name}» does not have; use one target file",
                 )
-                continue
-            views.setdefault(robots[0], []).append(view)
-        if not shared or self._shared is None:
+            elif len(robots) > 1:
+                shared.append(possible)
+            else:
+                views.setdefault(robots[0], []).append(possible[robots[0]])
+        if not shared:
             return views, False
         self._shared.add(camera, message.stamp_ns, tuple(shared))
         return views, not self._is_shown_again(camera, message.stamp_ns, shared)
 
     def _is_shown_again(self, camera: str, stamp_ns: int, faces: list[dict[str, View]]) -> bool:
         """Whether faces that several robots may carry only repeat what was seen before."""
-        if self._standstills is None:
-            return False
         robots = tuple(sorted({robot for face in faces for robot in face}))
         views = tuple(view for face in faces for view in list(face.values())[:1])
         return self._standstills.shown_again(camera, robots, stamp_ns, views)
 
+    def forget(self) -> None:
+        """Note that the odometry's past was dropped."""
+        self._shared.forget()
+
     def tell_apart(self, *, is_end: bool = False) -> None:
         """Queue the sightings of identical targets whose robot is identified by now; `is_end`: of
         all that came."""
-        if self._shared is None:
-            return
         for observation in self._shared.ready(is_end=is_end):
             self._queue(observation.robot, observation, has_odometry=True)
-        self._count_untold(self._shared)
+        self._count_untold()
 
     def tell_by_place(self, estimator: Live, *, is_end: bool = False) -> bool:
         """Queue the sightings of identical targets whose robot is identified by the estimator's
         poses; whether there were any. `is_end`: also where nothing has come in since the last
         call."""
-        if self._shared is None:
-            return False
         found = self._shared.by_place(estimator, is_end=is_end)
         for observation in found:
             self._queue(observation.robot, observation, has_odometry=True)
-        self._count_untold(self._shared)
+        self._count_untold()
         return bool(found)
 
     @property
     def undecided(self) -> frozenset[str]:
         """See `RobotIdentification.undecided`."""
-        return self._shared.undecided if self._shared is not None else frozenset()
+        return self._shared.undecided
 
-    def _count_untold(self, shared: RobotIdentification) -> None:
+    def _count_untold(self) -> None:
+        shared = self._shared
         more = shared.untold - self.left_out.counts["untold_robot"]
         self.left_out.add("untold_robot", shared.problem if more > 0 else "", count=more)
         if not shared.untold and self.left_out.last_problem == shared.problem:
@@ -202,7 +185,7 @@ class Intake:
     def _queue(self, robot: str, observation: Observation, *, has_odometry: bool = False) -> bool:
         """Have an observation wait for its odometry; whether it may add to the map. `has_odometry`:
         it is there already."""
-        if self._standstills is not None and self._standstills.repeats(observation):
+        if self._standstills.repeats(observation):
             observation = replace(observation, is_repeat=True)
             self.left_out.add("standing_still")
         queue = self._waiting[robot]

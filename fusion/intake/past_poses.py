@@ -1,20 +1,32 @@
-"""Poses of robots and cameras at past moments, by what any estimator knows now.
+"""Poses of robots and cameras at past moments, by what any estimator knows now; and whether a
+robot's motion, as other cameras saw it at the time, explains a visit to one more camera.
 
-Computed from an estimator's results and the odometry, with an upper bound of the error rather than
-the exact covariance.
+Poses are computed from an estimator's results and the odometry, with an upper bound of the error
+rather than the exact covariance. But two robots that report the same motion do not move
+identically: what a second camera saw meanwhile tells them apart far better than odometry. So a
+visit is solved together with all that located cameras saw of the robot at the time, and the χ² that
+it adds is the evidence against that robot.
 """
 
 import numpy as np
+from msgspec.structs import replace
+from numpy.linalg import LinAlgError
 
+from trigpoint.base.clock import to_ns
 from trigpoint.fusion.estimators.interface import CameraEstimate, Live, Trajectory
-from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.assembly import assemble
+from trigpoint.fusion.model.dataset import DataSet, Entry
+from trigpoint.fusion.model.gates import HUBER_SIGMAS
 from trigpoint.fusion.model.observations import Verdict
-from trigpoint.fusion.model.problem import CameraState
+from trigpoint.fusion.model.problem import CameraState, State
 from trigpoint.fusion.solver.filter import RobotEstimate
+from trigpoint.fusion.solver.levenberg_marquardt import solve
 from trigpoint.geometry import Pose
 
 # A decimetre and a tenth of a radian: the error that an incomplete solution may have.
 _FLOOR = np.diag(np.repeat([0.1**2, 0.1**2], 3))
+_BESIDE_NS = to_ns(1.0)
+_TOLERANCE = 1e-2
 
 
 class PastPoses:
@@ -29,13 +41,6 @@ class PastPoses:
     def camera(self, name: str) -> CameraEstimate | None:
         """A camera's pose; None where it is not known."""
         return self._cameras.get(name)
-
-    def camera_states(self) -> dict[str, CameraState]:
-        """All cameras that are located."""
-        return {
-            name: CameraState(camera.map_from_camera, camera.lens, camera.time_offset_s)
-            for name, camera in self._cameras.items()
-        }
 
     def robot(self, name: str, stamp_ns: int) -> RobotEstimate | None:
         """A robot's pose; None where odometry does not connect the moment to a known pose."""
@@ -95,3 +100,39 @@ class PastPoses:
             drift = np.diagonal(track.motion(moments, np.zeros(2)).covariance[0])
             covariance = covariance + np.diag(np.repeat([drift[:3].sum(), drift[3:].sum()], 3))
         return RobotEstimate(stamp_ns, pose, covariance)
+
+    def added_chi2(self, camera: str, state: CameraState, visit: list[Entry]) -> float:
+        """χ² that a visit (read, with poses) to a camera, assumed at `state`, adds to what the
+        located cameras saw of its robot then; infinite where it cannot be solved.
+
+        All these cameras are free, so that only what they saw in that time counts.
+        """
+        robot = visit[0].observation.robot
+        cameras = {
+            name: CameraState(known.map_from_camera, known.lens, known.time_offset_s)
+            for name, known in self._cameras.items()
+        }
+        stamps = [entry.observation.stamp_ns for entry in visit]
+        beside = [
+            entry
+            for entry in self._data.entries
+            if entry.observation.robot == robot
+            and entry.observation.verdict is Verdict.ACCEPTED
+            and entry.observation.camera in cameras
+            and entry.map_from_base is not None
+            and min(stamps) - _BESIDE_NS <= entry.observation.stamp_ns <= max(stamps) + _BESIDE_NS
+        ]
+        try:
+            without = _chi2(self._data, cameras, beside) if beside else 0.0
+            together = _chi2(self._data, {**cameras, camera: state}, [*beside, *visit])
+        except LinAlgError:
+            return np.inf
+        return together - without if np.isfinite(without) else np.inf
+
+
+def _chi2(data: DataSet, cameras: dict[str, CameraState], entries: list[Entry]) -> float:
+    small = replace(data, entries=sorted(entries, key=lambda entry: entry.observation.stamp_ns))
+    start = State(cameras, data.first_state().robots)
+    assembled = assemble(small, start, list(range(len(entries))), anchored=False)
+    cost = solve(assembled.problem, assembled.start, huber=HUBER_SIGMAS, tolerance=_TOLERANCE).cost
+    return cost if np.isfinite(cost) else np.inf

@@ -24,7 +24,6 @@ from trigpoint.fusion.reading.alignment import placements
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
-from .joint_motion import added_chi2
 from .past_poses import PastPoses
 from .picture_runs import AWAY_NS, lasting, split, visits
 
@@ -250,7 +249,7 @@ class RobotIdentification:
             for order, seen in fit.chosen().items()
         ]
         state = replace(fit.mode.camera, map_from_camera=shift @ fit.mode.map_from_camera)
-        return added_chi2(self._data, places.camera_states(), camera, state, entries)
+        return places.added_chi2(camera, state, entries)
 
     def _told(
         self, camera: str, run: list[Picture], *, is_last: bool

@@ -17,36 +17,31 @@ from numpy.linalg import LinAlgError
 
 from trigpoint.base.clock import to_ns
 from trigpoint.base.errors import OperationError
-from trigpoint.fusion.estimators.interface import CameraEstimate, Trajectory, Update
-from trigpoint.fusion.estimators.residuals import CameraResiduals
+from trigpoint.fusion.estimators.interface import CameraEstimate, Live, Update
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.estimators.smoother.current_filter import CurrentFilter
 from trigpoint.fusion.model.dataset import CameraMove, DataSet, Entry, Event
 from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.model.odometry import Added
 from trigpoint.fusion.model.readings import Readings
+from trigpoint.fusion.output import Output
 from trigpoint.fusion.solver.filter import RobotEstimate
-from trigpoint.fusion.solver.snapshot import GuidanceWorld
-from trigpoint.geometry import Pose
 
 from .solver_messages import (
-    Covered,
     Finish,
     LeaveOpen,
-    News,
     Order,
     Report,
     Reported,
-    Solution,
     Solved,
     Solver,
-    Suggested,
-    TakeLens,
     TakeMove,
     TakeObservation,
     TakeOdometry,
 )
 
+# Without anything new for this long, what came is settled.
+_QUIET_NS = to_ns(2.0)
 # An observation that comes later than this after its moment is passed on after later ones.
 _MOST_HELD_S = 2.0
 # How many sightings a new filter is brought on by in a turn in which none came.
@@ -67,10 +62,10 @@ class _Coming(Struct):
     missing: deque[Observation]
 
 
-class Follower:
-    """A `Live` estimator whose `Reports` come with a solver's news. Not thread-safe. `forget`:
-    called where the odometry's past was dropped, for others to drop what refers to it. `solution`:
-    the solver's last one, None before it; another thread may read it."""
+class Follower(Live):
+    """See `Live`; its results come with a solver's news. Not thread-safe. `forget`: called where
+    the odometry's past was dropped, for others to drop what refers to it. `solution`: the solver's
+    last one, None before it; another thread may read it."""
 
     def __init__(self, data: DataSet, solver: Solver, forget: Callable[[], None]) -> None:
         self.data, self._solver, self._forget = data, solver, forget
@@ -80,16 +75,14 @@ class Follower:
         # By robot, what came after these orders. A message by itself takes 20 µs to be packed.
         self._odometry: dict[str, list[Readings]] = {}
         self._recent: list[_Recent] = []
-        self._lenses: set[str] = set()
         self._told = 0
-        self._unsolved_ns = deque[int]()  # stamps of the last of those told
-        self._until_ns = 0
         self._collected: list[Observation] = []  # until they are to be solved
-        self.solution: Solution | None = None
+        self.solution: Solved | None = None
         self._asked = 0
         self._located: tuple[str, ...] = ()
         self._came, self._came_before = 0, 0
         self._reported: Reported | None = None
+        self._new_ns, self._is_settled = 0, True
         self._has_new_camera = False
 
     # -- input ------------------------------------------------------------------------------------
@@ -126,23 +119,20 @@ class Follower:
 
     # -- the solver -------------------------------------------------------------------------------
 
-    def attend(self) -> Iterator[Suggested | Event | Covered]:
+    def attend(self) -> Iterator[Output | Event]:
         """Take the solver's news and pass on the orders to it; yields what there is to report.
 
         Called at every turn.
         """
         for news in self._solver.news():
-            yield from self._take(news)
+            if isinstance(news, Solved):
+                self._take_over(news)
+            elif isinstance(news, Reported):
+                self._reported = news
+            else:
+                yield news
         self._catch_up()
         self._hand_over(is_all=False)
-
-    def _take(self, news: News) -> Iterator[Suggested | Event | Covered]:
-        if isinstance(news, Solved):
-            self._take_over(news)
-        elif isinstance(news, Reported):
-            self._reported = news
-        else:
-            yield news
 
     def _take_over(self, solved: Solved) -> None:
         """Begin to take over a solution."""
@@ -150,10 +140,7 @@ class Follower:
             self.data.forget(solved.past)
             self._forget()
         self._recent = [r for r in self._recent if r.number is None or r.number > solved.count]
-        while len(self._unsolved_ns) > self._told - solved.count:
-            self._until_ns = max(self._until_ns, self._unsolved_ns.popleft())
-        kept = replace(solved, known=solved.known.copy(), past=None)
-        self.solution = Solution(kept, self._until_ns)
+        self.solution = replace(solved, known=solved.known.copy(), past=None)
         missing = sorted((r.observation for r in self._recent), key=lambda o: o.stamp_ns)
         self._coming = _Coming(self._concluded(solved), deque(missing))
 
@@ -166,12 +153,11 @@ class Follower:
         current.shares = dict(solved.shares)
         return current
 
-    def go_on_from(self, solution: Solution) -> bool:
+    def go_on_from(self, solved: Solved) -> bool:
         """Make corrections by the last solution of a process before this one, until the solver has
         its own over all that was collected; whether odometry reaches back to where that solution
         left each robot. Of what was collected, only sightings after all of the solution's are used:
         nothing counts twice."""
-        solved, collected = solution.solved, self._collected
         tracks, stamps_ns = self.data.tracks, solved.known.stamps_ns
         if not all(tracks[robot].covers(stamp_ns) for robot, stamp_ns in stamps_ns.items()):
             return False
@@ -181,8 +167,8 @@ class Follower:
         }
         solved = replace(solved, conclusions=replace(solved.conclusions, jumps=jumps))
         self._current, self._has_new_camera = self._concluded(solved), True
-        for observation in sorted(collected, key=lambda o: o.stamp_ns):
-            if observation.stamp_ns > solution.until_ns:
+        for observation in sorted(self._collected, key=lambda o: o.stamp_ns):
+            if observation.stamp_ns > solved.until_ns:
                 self._try_using(self._current, observation)
         return True
 
@@ -231,18 +217,21 @@ class Follower:
         return observation.stamp_ns <= self.data.tracks[observation.robot].last_ns - held_ns
 
     def _tell(self, observation: Observation, *, is_collected: bool = False) -> None:
-        camera = observation.camera
-        if camera not in self._lenses:
-            self._lenses.add(camera)
-            self._order(TakeLens(camera, self.data.lenses[camera]))
-        self._order(TakeObservation(observation, is_collected))
+        lens = self.data.lenses[observation.camera]
+        self._order(TakeObservation(observation, lens, is_collected))
         self._told += 1
-        self._unsolved_ns.append(observation.stamp_ns)
 
-    @property
-    def is_idle(self) -> bool:
-        """Whether the solver has answered everything."""
-        return not self._asked or self.is_answered
+    def is_to_settle(self, now_ns: int, *, is_new: bool) -> bool:
+        """Whether all of it is to be explained and solved now, as `calibrate` does it; called at
+        every turn, with whether anything new came in it. While more comes, the solver does that by
+        itself, whenever there is enough that is new to it."""
+        if is_new:
+            self._new_ns, self._is_settled = now_ns, False
+        is_idle = not self._asked or self.is_answered
+        if self._is_settled or not is_idle or now_ns - self._new_ns <= _QUIET_NS:
+            return False
+        self._is_settled = True
+        return True
 
     def camera_moved(self, move: CameraMove) -> None:
         if self.data.tell(move):
@@ -273,13 +262,17 @@ class Follower:
 
     @property
     def has_results(self) -> bool:
+        """Whether there are any."""
         return self._reported is not None
 
     @property
     def is_final(self) -> bool:
+        """Whether the results are those of everything, solved to the end."""
         return self._reported is not None and self._reported.is_final
 
     def results(self) -> Results:
+        """The network with covariance and trajectories, as last reported; raise OperationError
+        where there are none yet."""
         if self._reported is None:
             raise OperationError("there is no solution yet; ask again in a moment")
         return self._reported.results
@@ -288,21 +281,6 @@ class Follower:
 
     def robot(self, robot: str) -> RobotEstimate | None:
         return self._current.robot(robot)
-
-    def particles(self, robot: str) -> Pose | None:
-        assert robot in self.data.site.robots
-        return None
-
-    def trajectory(self, robot: str) -> Trajectory | None:
-        assert robot in self.data.site.robots
-        return None  # the solver has it
-
-    def guidance_world(self) -> GuidanceWorld | None:
-        return None  # the solver asks itself
-
-    def residuals(self, camera: str) -> CameraResiduals | None:
-        assert camera in self.data.site.cameras
-        return None
 
     def cameras(self) -> dict[str, CameraEstimate]:
         return self._current.cameras()

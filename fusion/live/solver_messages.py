@@ -5,23 +5,16 @@ from typing import Protocol
 
 from msgspec import Struct
 
-from trigpoint.contract.messages import OccupancyGrid
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.model.dataset import CameraMove, Conclusions, Event
 from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.model.past import Past
 from trigpoint.fusion.model.readings import Readings
+from trigpoint.fusion.output import Output
 from trigpoint.fusion.solver.filter import Filter
-from trigpoint.geometry import CameraModel, Pose
+from trigpoint.geometry import CameraModel
 
 # -- to the one that solves -----------------------------------------------------------------------
-
-
-class TakeLens(Struct, frozen=True):
-    """A camera's lens, before its first observation."""
-
-    camera: str
-    lens: CameraModel
 
 
 class TakeOdometry(Struct, frozen=True):
@@ -32,9 +25,11 @@ class TakeOdometry(Struct, frozen=True):
 
 
 class TakeObservation(Struct, frozen=True):
-    """The next observation; they are counted. `is_collected`: for the next `Finish` alone."""
+    """The next observation, and its camera's lens; they are counted. `is_collected`: for the next
+    `Finish` alone."""
 
     observation: Observation
+    lens: CameraModel
     is_collected: bool = False
 
 
@@ -58,7 +53,7 @@ class Report(Struct, frozen=True):
     """Report what is known now."""
 
 
-Order = TakeLens | TakeOdometry | TakeObservation | TakeMove | LeaveOpen | Finish | Report
+Order = TakeOdometry | TakeObservation | TakeMove | LeaveOpen | Finish | Report
 
 # -- from the one that solves ---------------------------------------------------------------------
 
@@ -66,7 +61,8 @@ Shares = dict[tuple[str, str], tuple[int, float]]
 
 
 class Solved(Struct, frozen=True):
-    """A solution over the first `count` observations.
+    """A solution over the first `count` observations, none of which is stamped later than
+    `until_ns`; from the last one corrections go on after a restart.
 
     `shares`: see `CurrentFilter`; `conclusions`: what happened, and how noisy it was; `located`:
     the cameras that are part of it; `past`: what is not kept any more, where that is more than
@@ -78,6 +74,7 @@ class Solved(Struct, frozen=True):
     shares: Shares
     conclusions: Conclusions
     located: tuple[str, ...]
+    until_ns: int
     past: Past | None = None
 
 
@@ -90,29 +87,8 @@ class Reported(Struct, frozen=True):
     results: Results
 
 
-class Suggested(Struct, frozen=True):
-    """Where a robot should go next (`guidance.suggestions`)."""
-
-    robot: str
-    stamp_ns: int
-    map_from_base: Pose
-
-
-class Covered(Struct, frozen=True):
-    """How well a robot is corrected where, where that changed."""
-
-    grid: OccupancyGrid
-
-
-News = Solved | Event | Reported | Suggested | Covered
-
-
-class Solution(Struct, frozen=True):
-    """A solution from which corrections go on after a restart; none of its sightings is stamped
-    later than `until_ns`."""
-
-    solved: Solved
-    until_ns: int
+News = Solved | Event | Reported | Output
+"""An output is sent as it is: where a robot should go next, or how well it is corrected where."""
 
 
 class Solver(Protocol):

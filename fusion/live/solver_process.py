@@ -14,27 +14,32 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from multiprocessing import get_context, resource_tracker
 from multiprocessing.connection import Connection
 
 from msgspec import Struct
 
 from trigpoint.base.errors import OperationError
+from trigpoint.contract import topics
+from trigpoint.contract.messages import OccupancyGrid, PoseStamped
 from trigpoint.fusion.coverage.announced import AnnouncedMap
+from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.guidance.suggestions import suggestions
 from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.output import Output
 from trigpoint.fusion.solver.snapshot import GuidanceWorld
 from trigpoint.node.watchdog import Pulse
 
-from .coverage_thread import CoverageWork
+from .coverage_thread import cover
 from .memory import return_large_arrays
-from .solver_messages import Covered, News, Order, Reported, Solved, Suggested
+from .solver_messages import News, Order, Reported, Solved
 from .solver_worker import SolverWorker
 
 START_S = 60.0
 """How long the process may take to begin, also on a small machine that is busy."""
 _GUIDANCE_PERIOD_S = 3.0
+_COVER_NICENESS = 10
 _JOIN_S = 1.0
 _SIGN_PERIOD_S = 1.0
 # For one order: a long session takes a minute to solve, and none ten times the longest so far.
@@ -183,15 +188,20 @@ def _serve(orders: Connection, news: Connection) -> None:
     backlog: queue.SimpleQueue[Order] = queue.SimpleQueue()
     threading.Thread(target=_listen, args=(orders, backlog), daemon=True).start()
     worker, lock = SolverWorker(data), threading.Lock()
-    say = _NewsPipe(news).say
+    saying = threading.Lock()
+
+    def say(item: News | Alive | Took) -> None:
+        with saying:
+            news.send_bytes(pickle.dumps(item, protocol=pickle.HIGHEST_PROTOCOL))
 
     def world() -> GuidanceWorld | None:
         with lock:
             return worker.guidance_world()
 
     threading.Thread(target=_guide, args=(world, say), daemon=True).start()
+    newest: queue.Queue[Results] = queue.Queue(maxsize=1)
     announced = AnnouncedMap(data.site, data.targets)
-    coverage = CoverageWork(announced, lambda grid: say(Covered(grid)))
+    threading.Thread(target=_cover, args=(announced, newest, say), daemon=True).start()
     sign = Heartbeat(say, time.monotonic)
     while True:
         try:
@@ -207,7 +217,9 @@ def _serve(orders: Connection, news: Connection) -> None:
             for item in worker.rest() if backlog.empty() else ():
                 _say_solved(item, began_s, say)
                 if isinstance(item, Reported):
-                    coverage.take(item.results)
+                    with suppress(queue.Empty):  # in place of those that wait still
+                        newest.get_nowait()
+                    newest.put_nowait(item.results)
 
 
 def _say_solved(item: News, began_s: float, say: Callable[[News | Took], None]) -> None:
@@ -243,15 +255,17 @@ class Heartbeat:
             self._say(Alive(max(_PATIENCE_S, _TIMES_THE_LONGEST * self._longest_s)))
 
 
-class _NewsPipe:
-    """Sends news and what is about the process itself, one at a time."""
+def _cover(
+    announced: AnnouncedMap, newest: "queue.Queue[Results]", say: Callable[[News], None]
+) -> None:
+    """Say how well a robot is corrected where, after each of the newest results."""
+    # Of this thread alone: on Linux priorities are threads' own.
+    os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _COVER_NICENESS)
 
-    def __init__(self, news: Connection) -> None:
-        self._news, self._lock = news, threading.Lock()
+    def say_grid(grid: OccupancyGrid) -> None:
+        say(Output(topics.COVERAGE_GRID, "", grid))
 
-    def say(self, news: News | Alive | Took) -> None:
-        with self._lock:
-            self._news.send_bytes(pickle.dumps(news, protocol=pickle.HIGHEST_PROTOCOL))
+    cover(announced, newest.get, say_grid, wait=time.sleep)
 
 
 def _guide(world: Callable[[], GuidanceWorld | None], say: Callable[[News], None]) -> None:
@@ -259,8 +273,13 @@ def _guide(world: Callable[[], GuidanceWorld | None], say: Callable[[News], None
     while True:
         time.sleep(_GUIDANCE_PERIOD_S)
         known = world()
-        for robot in known.robots if known is not None else ():
-            assert known is not None
-            for found in suggestions(known, robot):
-                stamp_ns = known.robots[robot].stamp_ns
-                say(Suggested(robot, stamp_ns, found.map_from_base))
+        for found in suggested(known) if known is not None else ():
+            say(found)
+
+
+def suggested(known: GuidanceWorld) -> Iterator[Output]:
+    """Where each robot should go next."""
+    for robot, place in known.robots.items():
+        for found in suggestions(known, robot):
+            message = PoseStamped(place.stamp_ns, "map", found.map_from_base)
+            yield Output(topics.SUGGESTION, robot, message)

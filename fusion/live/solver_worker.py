@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from numpy.linalg import LinAlgError
 
-from trigpoint.fusion.estimators.results import map_id_of, results_of
+from trigpoint.fusion.estimators.results import results_of
 from trigpoint.fusion.estimators.smoother.settled_past import LIVE, Limits
 from trigpoint.fusion.estimators.smoother.smoother import Smoother
 from trigpoint.fusion.model.dataset import DataSet, Event
@@ -20,7 +20,6 @@ from .solver_messages import (
     Order,
     Reported,
     Solved,
-    TakeLens,
     TakeMove,
     TakeObservation,
     TakeOdometry,
@@ -32,16 +31,14 @@ class SolverWorker:
 
     def __init__(self, data: DataSet, limits: Limits = LIVE) -> None:
         self._data, self._smoother = data, Smoother(data, limits)
-        self._count = 0
+        self._count, self._until_ns = 0, 0
         self._is_collecting = False  # so that everything is solved once, at `Finish`
         self._orders = 0
         self._told, self._solutions = data.past, 0
 
     def carry_out(self, order: Order) -> Iterator[News]:
         """Carry out an order; yields the news from it."""
-        if isinstance(order, TakeLens):
-            self._data.lenses[order.camera] = order.lens
-        elif isinstance(order, TakeOdometry):
+        if isinstance(order, TakeOdometry):
             self._smoother.add_odometry(order.robot, order.readings)
         elif isinstance(order, TakeObservation):
             yield from self._take(order)
@@ -64,6 +61,8 @@ class SolverWorker:
 
     def _take(self, order: TakeObservation) -> Iterator[News]:
         self._count += 1
+        self._until_ns = max(self._until_ns, order.observation.stamp_ns)
+        self._data.lenses.setdefault(order.observation.camera, order.lens)
         self._is_collecting |= order.is_collected
         if order.is_collected:
             self._smoother.collect(order.observation)
@@ -91,14 +90,14 @@ class SolverWorker:
             dict(self._smoother.current.shares),
             self._data.conclusions(),
             tuple(self._smoother.located),
+            self._until_ns,
             None if past is self._told else past,
         )
         self._told = past
 
     def report(self, *, is_final: bool = False) -> Reported:
         """The results as they are known now."""
-        results = results_of(self._data, self._smoother, map_id_of(self._data))
-        return Reported(self._orders, is_final, results)
+        return Reported(self._orders, is_final, results_of(self._data, self._smoother))
 
     def guidance_world(self) -> GuidanceWorld | None:
         """See `Smoother`."""

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from trigpoint.fusion.model.observations import Observation, Reading, View, joined
+from trigpoint.fusion.model.observations import Reading, View, joined
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.native.library import In, Kernel, Out
@@ -41,22 +41,6 @@ def best_readings(
     counts = np.array([len(view.readings) for view in views], dtype=int)
     least = rms[np.cumsum(counts) - counts + numbers]
     return [view.readings[n] for view, n in zip(views, numbers.tolist(), strict=True)], least
-
-
-def read_where_they_are(
-    observations: Sequence[Observation], target: Target, lens: CameraModel, camera_from_base: Pose
-) -> list[tuple[tuple[Reading, ...], Array]]:
-    """The best reading of each view of observations (n) of one robot, each from its own pose (n),
-    and their RMS."""
-    views = [view for observation in observations for view in observation.views]
-    owner = np.repeat(np.arange(len(observations)), [len(o.views) for o in observations])
-    chosen, rms = best_readings(views, target, lens, camera_from_base[owner])
-    ends = np.cumsum([len(observation.views) for observation in observations])
-    starts = [0, *ends[:-1].tolist()]
-    return [
-        (tuple(chosen[start:end]), rms[start:end])
-        for start, end in zip(starts, ends.tolist(), strict=True)
-    ]
 
 
 def groups_of(keys: Sequence[object]) -> list[np.ndarray]:

@@ -17,6 +17,8 @@ from trigpoint.geometry.rotation import Array
 from trigpoint.native.library import In, Kernel, Out
 from trigpoint.site.target import Face, Pattern, Target
 
+from .views import body_tables
+
 FEWEST_CORNERS = 6
 """Of a marked board that is seen in part."""
 _SAMPLES = 17
@@ -98,20 +100,18 @@ class Faces(Struct, frozen=True, eq=False, dict=True):
         the corners' moments up to the third, and the information in a corner hardly differs from a
         polynomial of that degree over a board: so four points weigh as much as 12 or 48."""
         faces = self.target.faces
-        corners, counts = _padded([face.corners for face in faces])
+        corners, counts, _, outlines = body_tables(self.target)
         sides, ends = _padded([_sides(face) for face in faces])
         needed = [
             n if face.pattern is Pattern.CHECKERBOARD else min(FEWEST_CORNERS, n)
             for face, n in zip(faces, counts.tolist(), strict=True)
         ]
-        outlines = np.stack([face.outline[:, :2] for face in faces])
         signs = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
         return (
             np.ascontiguousarray(self.base_from_face.rotation),
             np.ascontiguousarray(self.base_from_face.translation),
             *(corners, counts, np.array(needed)),
-            np.concatenate([outlines.min(axis=1), outlines.max(axis=1)], axis=1),
-            *(sides, ends),
+            *(outlines, sides, ends),
             np.stack([f.corners.mean(axis=0) + signs * f.corners.std(axis=0) for f in faces]),
         )
 

@@ -15,40 +15,24 @@ from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.site.target import Target
 
+from .views import body_tables
+
 
 class Body(Struct, frozen=True, eq=False):
-    """A target in the robot's base frame.
-
-    `table` (f, c, 3): the faces' corners by id, padded to one size, with how many a face has in
-    `counts` (f,); `base_from_face`, `face_from_base` (f); `low`, `high` (f, 2): the rectangle of a
-    face's pattern in its own frame, metres.
-    """
+    """A target in the robot's base frame. `table` (f, c, 3): the faces' corners by id, padded to
+    one size, with how many a face has in `counts` (f,); `face_from_base` (f)."""
 
     table: Array
     counts: np.ndarray
-    base_from_face: Pose
     face_from_base: Pose
-    low: Array
-    high: Array
 
 
 @cache
 def body_of(target: Target) -> Body:
     """The target as a solid body."""
-    outlines = np.stack([face.outline[:, :2] for face in target.faces])
-    counts = np.array([face.corner_count for face in target.faces])
-    table = np.zeros((len(counts), counts.max(), 3))
-    for face, row in zip(target.faces, table, strict=True):
-        row[: face.corner_count] = face.base_from_face @ face.corners
+    corners, counts, *_ = body_tables(target)
     base_from_face = base_from_faces(target)
-    return Body(
-        table,
-        counts,
-        base_from_face,
-        base_from_face.inverse(),
-        outlines.min(axis=1),
-        outlines.max(axis=1),
-    )
+    return Body(base_from_face @ corners, counts, base_from_face.inverse())
 
 
 def by_reading(view: View, body: Body) -> Array:

@@ -10,9 +10,14 @@ import numpy as np
 
 from trigpoint.base.errors import OperationError, writing
 from trigpoint.contract.coverage import UNKNOWN
-from trigpoint.fusion.coverage.accuracy_map import NOBODY, WITHIN_M, AccuracyMap, class_name
+from trigpoint.fusion.coverage.accuracy_map import (
+    NOBODY,
+    WITHIN_M,
+    AccuracyMap,
+    class_name,
+    grid_values,
+)
 from trigpoint.fusion.coverage.floor import Floor
-from trigpoint.fusion.coverage.grid import grid_values
 
 from .outlines import outlines
 

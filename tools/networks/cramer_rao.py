@@ -17,7 +17,7 @@ from trigpoint.fusion.model.dataset import DataSet, Entry
 from trigpoint.fusion.model.observations import Observation, Verdict
 from trigpoint.fusion.model.odometry import OdometryTrack
 from trigpoint.fusion.model.problem import CameraState, State
-from trigpoint.fusion.reading.best_readings import read_where_they_are
+from trigpoint.fusion.reading.best_readings import best_readings
 from trigpoint.fusion.solver.levenberg_marquardt import linearise
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
@@ -105,9 +105,10 @@ def _read(
     if observation.chosen is not None:
         return observation
     target = data.targets[observation.robot]
-    camera_from_base = Pose.stack([camera.map_from_camera.inverse() @ map_from_base])
-    ((readings, _),) = read_where_they_are([observation], target, camera.lens, camera_from_base)
-    return observation.read_as(readings)
+    camera_from_base = camera.map_from_camera.inverse() @ map_from_base
+    there = camera_from_base.repeated(len(observation.views))
+    readings, _ = best_readings(observation.views, target, camera.lens, there)
+    return observation.read_as(tuple(readings))
 
 
 def _stated(track: OdometryTrack, lifted_ns: list[int]) -> OdometryTrack:

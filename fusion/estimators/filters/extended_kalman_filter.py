@@ -19,16 +19,16 @@ from msgspec.structs import replace
 
 from trigpoint.base.clock import to_ns, to_seconds
 from trigpoint.fusion.model.dataset import DataSet
-from trigpoint.fusion.model.motion import odometry_step
+from trigpoint.fusion.model.motion import both, odometry_step
 from trigpoint.fusion.model.problem import CameraState
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
-from trigpoint.geometry.uncertainty import relative_jacobians, symmetric
+from trigpoint.geometry.uncertainty import relative_jacobians, symmetric, turned_axes
 
-from .filter_state import Innovation, ReadSighting, velocity
+from .filter_state import Innovation, ReadSighting
 from .kalman_state import KalmanState, Part
 from .pose_errors import disturbance_by_twist, twist_between, twist_by_disturbance
-from .relative_pose import RelativeView, relative_view
+from .relative_pose import RelativeView
 from .sequential import SequentialEstimator
 
 _MOST_ITERATIONS = 5
@@ -46,13 +46,16 @@ class KalmanFilterState(KalmanState, frozen=True):
 
     @classmethod
     def at_origin(cls, data: DataSet) -> "KalmanFilterState":
-        """Before any sighting: the first robot where its odometry begins, or the known cameras."""
+        """Before any sighting: the first robot where its odometry begins, or the known cameras;
+        before odometry nothing."""
         filter_state = cls({}, {}, {}, {}, {}, {}, np.zeros((0, 0)))
         if data.known.poses:
-            return filter_state.with_known_cameras(data)
+            return filter_state.with_known_cameras(data) if data.begin_ns else filter_state
         robot = data.anchored_robot
         assert robot is not None  # no camera is known
         track = data.tracks[robot]
+        if not len(track):
+            return filter_state
         filter_state = filter_state.with_robot_priors(
             data, robot, track.odom_from_base[0], track.first_ns
         )
@@ -88,48 +91,40 @@ class KalmanFilterState(KalmanState, frozen=True):
     def updated(
         self, data: DataSet, sighting: ReadSighting
     ) -> tuple["KalmanFilterState", Innovation] | None:
-        """Iterate over the parts that the sighting bears on; the rest follows by its covariance."""
+        """Iterate about where the sighting puts the robot, not where odometry does."""
         if sighting.places_robot:
             return self._with_robot(data, sighting)
-        parts = _parts_of(sighting)
-        near = self.only(parts)
-        # The first linearisation is where the sighting puts the robot, not where odometry does.
-        error = near._error_at(sighting)
-        update = view = jacobian = None
+        camera, robot = sighting.observation.camera, sighting.observation.robot
+        error = np.zeros(len(self.covariance))
+        twist = twist_between(self.poses[robot], sighting.map_from_base)
+        error[self.columns["last", robot]] = twist[self.tangents[robot]]
+        update = view = None
         for _ in range(_MOST_ITERATIONS):
-            there = near.moved(error)
+            there = self.moved(error, cameras=[camera])
             view = there._view(data, sighting)
             if view is None:
                 return None
             jacobian = there._jacobian(data, sighting, view)
-            update = _Update.by(near.covariance, jacobian, view.residual - jacobian @ error)
+            update = _Update.by(self.covariance, jacobian, view.residual - jacobian @ error)
             step, error = update.error - error, update.error
             if np.all(np.abs(step) <= _SETTLED * update.sigmas + 1e-9):
                 break
         assert update is not None
         assert view is not None
-        assert jacobian is not None
-        after = self._followed(update, jacobian, self.of(parts))
-        seen = after._view(data, sighting)
-        return after, _innovation(seen, view, update.chi2, len(view.residual))
+        return self._followed(data, sighting, update, view)
 
     def _followed(
-        self, update: "_Update", jacobian: Array, columns: np.ndarray
-    ) -> "KalmanFilterState":
-        """The whole state after an update (k equations) of some of its columns."""
-        gain = update.whitened_gain(self.covariance[:, columns] @ jacobian.T)
+        self, data: DataSet, sighting: ReadSighting, update: "_Update", view: RelativeView
+    ) -> tuple["KalmanFilterState", Innovation]:
+        """The state after an update by a sighting, which `view` was before."""
         # A product with its own transpose is half the work, and symmetric to the last bit.
-        covariance = gain @ gain.T
+        covariance = update.gain @ update.gain.T
         np.subtract(self.covariance, covariance, out=covariance)
-        return replace(self.moved(gain @ update.innovation), covariance=covariance)
-
-    def _error_at(self, sighting: ReadSighting) -> Array:
-        """The error (n,) that puts the robot where the sighting does."""
-        robot = sighting.observation.robot
-        error = np.zeros(len(self.covariance))
-        twist = twist_between(self.poses[robot], sighting.map_from_base)
-        error[self.columns["last", robot]] = twist[self.tangents[robot]]
-        return error
+        after = replace(self.moved(update.error), covariance=covariance)
+        rms_px = (after._view(data, sighting) or view).rms_px
+        chi2, freedom = update.chi2, update.gain.shape[1]
+        total, of_all = chi2 + view.left_over, freedom + view.freedom
+        return after, Innovation(chi2, freedom, total, of_all, rms_px)
 
     def _with_robot(
         self, data: DataSet, sighting: ReadSighting
@@ -163,34 +158,19 @@ class KalmanFilterState(KalmanState, frozen=True):
         view = ready._view(data, sighting)
         if view is None or not view.determines_pose:
             return None
-        rest = ready.of([other for other in _parts_of(sighting) if other != part])
-        near = ready.only(_parts_of(sighting))
-        jacobian = near._jacobian(data, sighting, view)
-        new = near.columns[part]
+        jacobian, new = ready._jacobian(data, sighting, view), ready.columns[part]
         basis, root = np.linalg.qr(jacobian[:, new], mode="complete")
-        turned = basis.T @ np.delete(jacobian, new, axis=1)
+        turned = basis.T @ jacobian
+        turned[:, new] = 0.0
         residual, inverse = basis.T @ view.residual, np.linalg.inv(root[:count])
-        placed = ready._placed(part, rest, -inverse @ turned[:count], -inverse @ residual[:count])
-        placed.covariance[ready.columns[part], ready.columns[part]] += inverse @ inverse.T
-        lower = len(residual) - count
-        if lower == 0:
-            return placed, _innovation(placed._view(data, sighting), view, 0.0, 0)
-        prior = placed.covariance[np.ix_(rest, rest)]
-        update = _Update.by(prior, turned[count:], residual[count:])
-        after = placed._followed(update, turned[count:], rest)
-        return after, _innovation(after._view(data, sighting), view, update.chi2, lower)
-
-    def _placed(
-        self, part: Part, rest: np.ndarray, by_rest: Array, error: Array
-    ) -> "KalmanFilterState":
-        """Set a part's error to `error` (k,) + by_rest (k, m) · that of some columns (m,)."""
-        columns, covariance = self.columns[part], self.covariance.copy()
-        whole = np.zeros(len(covariance))
-        whole[columns] = error
-        rows = by_rest @ covariance[rest]
-        covariance[columns], covariance[:, columns] = rows, rows.T
-        covariance[columns, columns] = rows[:, rest] @ by_rest.T
-        return replace(self.moved(whole), covariance=symmetric(covariance))
+        by_rest, error = -inverse @ turned[:count], np.zeros(len(ready.covariance))
+        error[new] = -inverse @ residual[:count]
+        rows, covariance = by_rest @ ready.covariance, ready.covariance.copy()
+        covariance[new], covariance[:, new] = rows, rows.T
+        covariance[new, new] = rows @ by_rest.T + inverse @ inverse.T
+        placed = replace(ready.moved(error), covariance=symmetric(covariance))
+        update = _Update.by(placed.covariance, turned[count:], residual[count:])
+        return placed._followed(data, sighting, update, view)
 
     # -- how a sighting follows the state ---------------------------------------------------------
 
@@ -203,20 +183,15 @@ class KalmanFilterState(KalmanState, frozen=True):
         pose, node_ns = self.poses[robot], self.stamps_ns[robot]
         if ("offset", camera) not in self.columns:
             return pose, np.zeros(6)
-        moving = velocity(data.tracks[robot], pose, node_ns, self.scales(robot))
+        twist = data.tracks[robot].twists_about(np.array([node_ns]))[0]
+        moving = turned_axes(pose.rotation) @ (twist * both(1 + self.scales(robot)))
         after_s = to_seconds(sighting.observation.stamp_ns - node_ns)
         return pose.disturbed(moving * (after_s - self.states[camera].time_offset_s)), moving
 
     def _view(self, data: DataSet, sighting: ReadSighting) -> RelativeView | None:
-        camera, robot = self.states[sighting.observation.camera], sighting.observation.robot
+        camera = self.states[sighting.observation.camera]
         pose, _ = self._seen(data, sighting)
-        return relative_view(
-            sighting.observation,
-            data.targets[robot],
-            camera.lens,
-            camera.map_from_camera.inverse() @ pose,
-            sighting.variances,
-        )
+        return sighting.view(data, camera.lens, camera.map_from_camera.inverse() @ pose)
 
     def _jacobian(self, data: DataSet, sighting: ReadSighting, view: RelativeView) -> Array:
         """The derivative of the compressed residual by the whole error, (k, n)."""
@@ -238,43 +213,24 @@ class KalmanFilterState(KalmanState, frozen=True):
         return jacobian
 
 
-def _parts_of(sighting: ReadSighting) -> list[Part]:
-    """The parts of the error that a sighting bears on."""
-    camera, robot = sighting.observation.camera, sighting.observation.robot
-    return [("last", robot), ("pose", camera), ("offset", camera)]
-
-
 class _Update(Struct, frozen=True):
-    """What equations say of an error that was zero with a covariance P (m, m): residual (k,) +
-    J (k, m) · error = noise of unit variance. `root`: L (k, k) of S = 1 + J P Jᵀ = L Lᵀ;
-    `innovation`: (k,), whitened by it; `error`, `sigmas`: (m,) after the update (Kalman, 1960)."""
+    """What equations say of an error that was zero with a covariance P (n, n): residual (k,) +
+    J (k, n) · error = noise of unit variance. `error`, `sigmas`: (n,) after the update; `gain`:
+    (n, k) by the innovation whitened by L of S = 1 + J P Jᵀ = L Lᵀ, of which `chi2` is the square
+    (Kalman, 1960)."""
 
-    root: Array
-    innovation: Array
     error: Array
     sigmas: Array
+    gain: Array
+    chi2: float
 
     @classmethod
     def by(cls, covariance: Array, jacobian: Array, residual: Array) -> Self:
         """Raises LinAlgError where S is not positive definite."""
-        spread = covariance @ jacobian.T
-        root = np.linalg.cholesky(np.eye(len(residual)) + jacobian @ spread)
+        near = np.flatnonzero(jacobian.any(axis=0))  # a sighting bears on few of a large state
+        spread = covariance[:, near] @ jacobian[:, near].T
+        root = np.linalg.cholesky(np.eye(len(residual)) + jacobian[:, near] @ spread[near])
         innovation = np.linalg.solve(root, -residual)
         gain = np.linalg.solve(root, spread.T).T
-        variances = np.diagonal(covariance) - np.sum(gain**2, axis=1)
-        return cls(root, innovation, gain @ innovation, np.sqrt(np.abs(variances)))
-
-    def whitened_gain(self, spread: Array) -> Array:
-        """The gain by the whitened innovation, (n, k), of unknowns of which P Jᵀ is (n, k)."""
-        return np.linalg.solve(self.root, spread.T).T
-
-    @property
-    def chi2(self) -> float:
-        return float(self.innovation @ self.innovation)
-
-
-def _innovation(
-    after: RelativeView | None, view: RelativeView, chi2: float, freedom: int
-) -> Innovation:
-    rms_px = after.rms_px if after is not None else view.rms_px
-    return Innovation(chi2, freedom, chi2 + view.left_over, freedom + view.freedom, rms_px)
+        sigmas = np.sqrt(np.abs(np.diagonal(covariance) - np.sum(gain**2, axis=1)))
+        return cls(gain @ innovation, sigmas, gain, float(innovation @ innovation))

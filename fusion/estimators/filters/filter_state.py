@@ -2,20 +2,18 @@
 
 from typing import Protocol, Self
 
-import numpy as np
 from msgspec import Struct
 
-from trigpoint.base.clock import to_ns, to_seconds
 from trigpoint.fusion.estimators.interface import CameraEstimate
 from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.gates import is_noise
 from trigpoint.fusion.model.observations import Observation
-from trigpoint.fusion.model.odometry import OdometryTrack
 from trigpoint.fusion.model.problem import CameraState
 from trigpoint.fusion.solver.filter import RobotEstimate
-from trigpoint.geometry import Pose
+from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
 
-_VELOCITY_WINDOW_NS = to_ns(0.02)
+from .relative_pose import RelativeView, relative_view
 
 
 class ReadSighting(Struct, frozen=True):
@@ -31,6 +29,11 @@ class ReadSighting(Struct, frozen=True):
     variances: Array | None = None
     places_robot: bool = False
 
+    def view(self, data: DataSet, lens: CameraModel, camera_from_base: Pose) -> RelativeView | None:
+        """The sighting linearised at a pose; None where it is of no use there."""
+        target = data.targets[self.observation.robot]
+        return relative_view(self.observation, target, lens, camera_from_base, self.variances)
+
 
 class Innovation(Struct, frozen=True):
     """How far an observation was from its prediction.
@@ -44,6 +47,11 @@ class Innovation(Struct, frozen=True):
     total: float
     total_freedom: int
     rms_px: float
+
+    @property
+    def is_expected(self) -> bool:
+        """Whether it passes the χ² gate (normalised innovation squared)."""
+        return self.freedom == 0 or is_noise(self.chi2, self.freedom)
 
 
 class FilterState(Protocol):
@@ -100,14 +108,3 @@ class FilterState(Protocol):
     def particles(self, robot: str) -> Pose | None:
         """Samples of the robot's pose, all equally likely; None for a filter without samples."""
         ...
-
-
-def velocity(track: OdometryTrack, map_from_base: Pose, stamp_ns: int, scales: Array) -> Array:
-    """A robot's velocity at a moment, as the disturbance per second, (…, 6), in the map's axes."""
-    begin = max(stamp_ns - _VELOCITY_WINDOW_NS, track.first_ns)
-    end = min(stamp_ns + _VELOCITY_WINDOW_NS, track.last_ns)
-    if end <= begin:
-        return np.zeros((*map_from_base.translation.shape[:-1], 6))
-    motion = track.motion(np.array([begin, end]), scales).earlier_from_later[0]
-    moved = (map_from_base @ motion).difference(map_from_base)
-    return moved / to_seconds(end - begin)

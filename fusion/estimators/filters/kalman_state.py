@@ -1,5 +1,6 @@
 """The state of the extended Kalman filter: nominal values, and the error about them."""
 
+from collections.abc import Iterable
 from typing import Self
 
 import numpy as np
@@ -155,13 +156,14 @@ class KalmanState(Struct, frozen=True):
 
     # -- the error goes into the nominal values ---------------------------------------------------
 
-    def moved(self, error: Array) -> Self:
-        """The nominal values moved by an error (n,).
+    def moved(self, error: Array, *, cameras: Iterable[str] | None = None) -> Self:
+        """The nominal values moved by an error (n,); of cameras all, or some.
 
         The covariance is left as it is: transforming each pose's twist by its own correction would
         make the error that all poses share differ between them, and so appear observable.
         """
-        poses, states = dict(self.poses), self._moved_cameras(error)
+        poses, cameras = dict(self.poses), self.states if cameras is None else cameras
+        states = self._moved_cameras(error, cameras)
         scales = dict(self.scale_errors)
         for (kind, name), part in self.columns.items():
             if kind == "last":
@@ -173,9 +175,9 @@ class KalmanState(Struct, frozen=True):
                 scales[name] = scales[name] + error[part]
         return replace(self, poses=poses, states=states, scale_errors=scales)
 
-    def _moved_cameras(self, error: Array) -> dict[str, CameraState]:
-        """The cameras' poses moved all at once: there may be a hundred."""
-        parts = {name: part for (kind, name), part in self.columns.items() if kind == "pose"}
+    def _moved_cameras(self, error: Array, cameras: Iterable[str]) -> dict[str, CameraState]:
+        """These cameras' poses moved all at once: there may be a hundred."""
+        parts = {name: self.columns["pose", name] for name in cameras}
         if not parts:
             return dict(self.states)
         twists = np.stack([error[part] for part in parts.values()])

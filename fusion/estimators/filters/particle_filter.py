@@ -27,9 +27,9 @@ from trigpoint.geometry.uncertainty import relative_jacobians
 
 from .filter_state import Innovation, ReadSighting
 from .particle_resampling import effective_sample_size, largest_share, normalised
-from .particles import PARTICLES, Particles, transposed
+from .particles import PARTICLES, CameraParticles, Particles, transposed
 from .pose_samples import PoseSamples
-from .relative_pose import RelativeView, relative_view
+from .relative_pose import RelativeView
 from .sequential import SequentialEstimator
 
 _MOST_SHARES = 200
@@ -94,60 +94,56 @@ class ParticleFilterState(Particles, frozen=True):
 
     @classmethod
     def at_origin(cls, data: DataSet) -> "ParticleFilterState":
-        """Before any sighting: the first robot where its odometry begins, or the known cameras."""
-        filter_state = cls(data.site.fusion.seed, 0, *({} for _ in range(10)))
+        """Before any sighting: the first robot where its odometry begins, or the known cameras;
+        before odometry nothing."""
+        filter_state = cls(data.site.fusion.seed)
         if data.known.poses:
-            return filter_state._with_known(data)
+            return filter_state._with_known(data) if data.begin_ns else filter_state
         robot = data.anchored_robot
         assert robot is not None  # no camera is known
         track = data.tracks[robot]
+        if not len(track):
+            return filter_state
         filter_state = filter_state.with_robot(data, robot, track.odom_from_base[0], track.first_ns)
-        d = len(track.tangent)
-        nothing = np.zeros((PARTICLES, d, d))
-        return replace(filter_state, spreads=filter_state.spreads | {robot: nothing})
+        here = filter_state.robots[robot]
+        there = replace(here, spread=np.zeros(here.spread.shape))
+        return replace(filter_state, robots={robot: there})
 
     def _with_known(self, data: DataSet) -> "ParticleFilterState":
         joint = data.known_at_start.covariance
         random = self.random()
         drawn = random.standard_normal((PARTICLES, len(joint))) @ np.linalg.cholesky(joint).T
-        places = {}
+        located, sure = {}, np.zeros((PARTICLES, 6, 6))
         for index, (name, pose) in enumerate(data.known.poses.items()):
             samples = pose.repeated(PARTICLES).disturbed(drawn[:, 6 * index : 6 * index + 6])
-            places[name] = PoseSamples.of(samples)
-        return replace(
-            self,
-            draws=self.draws + 1,
-            places=places,
-            covariances={name: np.zeros((PARTICLES, 6, 6)) for name in places},
-            lenses={name: data.lenses[name] for name in places},
-        )
+            located[name] = CameraParticles(PoseSamples.of(samples), sure, data.lenses[name])
+        return replace(self, draws=self.draws + 1, located=located)
 
     # -- odometry ---------------------------------------------------------------------------------
 
     def advanced(self, data: DataSet, robot: str, stamp_ns: int) -> "ParticleFilterState":
         """Each particle moved on by odometry; its noise is drawn when the next sighting comes."""
-        if stamp_ns <= self.stamps_ns[robot]:
+        here, mean_scales = self.robots[robot], self.scales(robot)
+        if stamp_ns <= here.stamp_ns:
             return self
-        mean_scales = self.scales(robot)
-        moments_ns = np.array([self.stamps_ns[robot], stamp_ns])
+        moments_ns = np.array([here.stamp_ns, stamp_ns])
         motion = data.tracks[robot].motion(moments_ns, mean_scales)
-        step = odometry_step(self.poses[robot].poses, motion)
-        tangent = self.tangents[robot]
-        by_motion = step.by_motion[:, tangent]
+        step = odometry_step(here.poses.poses, motion)
+        by_motion = step.by_motion[:, here.tangent]
         noise = by_motion @ motion.covariance[0] @ transposed(by_motion)
-        by_start = step.by_start[:, tangent][..., tangent]
+        by_start = step.by_start[:, here.tangent][..., here.tangent]
         end = step.end
         if robot in self.scale_errors:
             apart = self.scale_errors[robot] - mean_scales
             end = end.disturbed((step.by_scales @ apart[..., None])[..., 0])
-        return replace(
-            self,
-            stamps_ns=self.stamps_ns | {robot: stamp_ns},
-            poses=self.poses | {robot: PoseSamples.of(end)},
-            spreads=self.spreads
-            | {robot: by_start @ self.spreads[robot] @ transposed(by_start) + noise},
-            crossed={n: by_start @ c if n == robot else c for n, c in self.crossed.items()},
+        there = replace(
+            here,
+            stamp_ns=stamp_ns,
+            poses=PoseSamples.of(end),
+            spread=by_start @ here.spread @ transposed(by_start) + noise,
+            crossed=by_start @ here.crossed,
         )
+        return replace(self, robots=self.robots | {robot: there})
 
     # -- sightings --------------------------------------------------------------------------------
 
@@ -156,7 +152,7 @@ class ParticleFilterState(Particles, frozen=True):
     ) -> tuple["ParticleFilterState", Innovation] | None:
         robot, camera = sighting.observation.robot, sighting.observation.camera
         filter_state = self.with_drawn(
-            n for n, c in self.companions.items() if c == camera and n != robot
+            n for n, here in self.robots.items() if here.companion == camera and n != robot
         )
         if sighting.places_robot:
             stamp_ns = sighting.observation.stamp_ns
@@ -166,12 +162,11 @@ class ParticleFilterState(Particles, frozen=True):
         if view is None:
             return None
         chi2 = relative.innovation_chi2(view)
-        freedom = len(view.residual) - (
-            len(filter_state.tangents[robot]) if sighting.places_robot else 0
-        )
+        free = len(filter_state.robots[robot].tangent) if sighting.places_robot else 0
+        freedom = len(view.residual) - free
         filter_state = filter_state._conditioned(view, relative, robot, camera)
-        camera_from_map = filter_state.places[camera].mean.inverse()
-        after = filter_state._view(data, sighting, camera_from_map @ filter_state.poses[robot].mean)
+        eye, pose = filter_state.located[camera], filter_state.robots[robot].poses.mean
+        after = sighting.view(data, eye.lens, eye.poses.mean.inverse() @ pose)
         rms_px = after.rms_px if after is not None else view.rms_px
         total = chi2 + view.left_over
         return filter_state, Innovation(chi2, freedom, total, freedom + view.freedom, rms_px)
@@ -182,54 +177,44 @@ class ParticleFilterState(Particles, frozen=True):
         """Draw each particle's pose, and place the camera by it, with the sighting's covariance."""
         robot, name = sighting.observation.robot, sighting.observation.camera
         camera_from_base = camera.map_from_camera.inverse() @ sighting.map_from_base
-        target = data.targets[robot]
-        view = relative_view(
-            sighting.observation, target, camera.lens, camera_from_base, sighting.variances
-        )
+        view = sighting.view(data, camera.lens, camera_from_base)
         if view is None or not view.determines_pose:
             return None
         filter_state = self.with_drawn([robot])
-        pose = filter_state.poses[robot].poses
+        here = filter_state.robots[robot]
+        pose = here.poses.poses
         place = pose @ camera_from_base.inverse()
         by_camera, _ = relative_jacobians(place, pose)
         inverse = np.linalg.inv(view.root @ by_camera)
+        poses = PoseSamples.of(place.disturbed(-inverse @ view.residual))
+        placed = CameraParticles(poses, inverse @ transposed(inverse), camera.lens)
+        there = replace(here, companion=name, crossed=np.zeros(here.crossed.shape))
         filter_state = replace(
             filter_state,
-            places=filter_state.places
-            | {name: PoseSamples.of(place.disturbed(-inverse @ view.residual))},
-            covariances=filter_state.covariances | {name: inverse @ transposed(inverse)},
-            lenses=filter_state.lenses | {name: camera.lens},
-            companions=filter_state.companions | {robot: name},
-            crossed=filter_state.crossed
-            | {robot: np.zeros((PARTICLES, len(filter_state.tangents[robot]), 6))},
+            robots=filter_state.robots | {robot: there},
+            located=filter_state.located | {name: placed},
         )
         return filter_state, Innovation(0.0, 0, view.left_over, view.freedom, view.rms_px)
 
     def _relative(self, robot: str, camera: str) -> _Relative:
         """A camera's view of the robot in each particle."""
-        place, pose = self.places[camera].poses, self.poses[robot].poses
+        here, place = self.robots[robot], self.located[camera].poses.poses
+        pose = here.poses.poses
         by_camera, by_base = relative_jacobians(place, pose)
         group = self._group(robot, camera)
-        parts = [by_base[..., self.tangents[robot]]]
+        parts = [by_base[..., here.tangent]]
         parts += [np.zeros((PARTICLES, 6, 6))] * (len(group) - 1)
         jacobian = np.concatenate([*parts, by_camera], axis=-1)
         covariance = self.together(robot, group)
         spread = jacobian @ covariance @ transposed(jacobian)
         return _Relative(place.inverse() @ pose, jacobian, covariance, spread)
 
-    def _view(
-        self, data: DataSet, sighting: ReadSighting, camera_from_base: Pose
-    ) -> RelativeView | None:
-        observation, lens = sighting.observation, self.lenses[sighting.observation.camera]
-        target = data.targets[observation.robot]
-        return relative_view(observation, target, lens, camera_from_base, sighting.variances)
-
     def _linearised(
         self, data: DataSet, sighting: ReadSighting, relative: _Relative
     ) -> RelativeView | None:
         """The sighting linearised about the best camera_from_base by it and the particles."""
-        place = self.places[sighting.observation.camera].mean
-        view = self._view(data, sighting, place.inverse() @ sighting.map_from_base)
+        eye = self.located[sighting.observation.camera]
+        view = sighting.view(data, eye.lens, eye.poses.mean.inverse() @ sighting.map_from_base)
         for _ in range(_MOST_LINEARISATIONS - 1):
             if view is None or len(view.root) < 6:
                 return None
@@ -238,12 +223,12 @@ class ParticleFilterState(Particles, frozen=True):
             gain = covariance @ view.root.T
             gain = gain @ np.linalg.inv(view.root @ gain + np.eye(len(view.root)))
             best = mean - gain @ (view.residual + view.root @ mean)
-            view = self._view(data, sighting, view.camera_from_base.disturbed(best))
+            view = sighting.view(data, eye.lens, view.camera_from_base.disturbed(best))
         return view
 
     def _group(self, robot: str, camera: str) -> list[str]:
         """The cameras that a sighting moves in a particle: the robot's companion and this one."""
-        companion = self.companions.get(robot)
+        companion = self.robots[robot].companion
         return [camera] if companion in (None, camera) else [companion, camera]
 
     def _conditioned(

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from typing import Self
 
 import numpy as np
-from msgspec import Struct
+from msgspec import Struct, field
 from msgspec.structs import replace
 
 from trigpoint.fusion.estimators.interface import CameraEstimate
@@ -25,56 +25,63 @@ _SHOWN = 500
 _NOTHING = 1e-12
 
 
-class Particles(Struct, frozen=True):
-    """n particles, all equally likely; immutable.
+class RobotParticles(Struct, frozen=True):
+    """A robot in each of n particles at its last node: `poses` (n), with the covariance `spread`
+    (n, d, d) over the `tangent` of what is not drawn yet. `companion`: the camera that saw it last,
+    with `crossed` (n, d, 6) between the two."""
 
-    `poses`: robot -> map_from_base (n), with `spreads` (n, d, d) of what is not drawn yet;
-    `companions`: robot -> the camera that saw it last, with `crossed` (n, d, 6) between the two;
-    `places`: camera -> map_from_camera (n) with `covariances` (n, 6, 6), given what is drawn;
-    `scale_errors`: robot -> (n, 2). `seed`, `draws`: determine the next random numbers.
-    """
+    stamp_ns: int
+    tangent: list[int]
+    poses: PoseSamples
+    spread: Array
+    companion: str | None
+    crossed: Array
+
+
+class CameraParticles(Struct, frozen=True):
+    """A camera in each of n particles: `poses` (n), its `covariance` (n, 6, 6) given what is
+    drawn."""
+
+    poses: PoseSamples
+    covariance: Array
+    lens: CameraModel
+
+
+class Particles(Struct, frozen=True):
+    """n particles, all equally likely; immutable. `scale_errors`: robot -> (n, 2); `seed`, `draws`:
+    determine the next random numbers."""
 
     seed: int
-    draws: int
-    stamps_ns: dict[str, int]
-    tangents: dict[str, list[int]]
-    poses: dict[str, PoseSamples]
-    spreads: dict[str, Array]
-    companions: dict[str, str]
-    crossed: dict[str, Array]
-    places: dict[str, PoseSamples]
-    covariances: dict[str, Array]
-    lenses: dict[str, CameraModel]
-    scale_errors: dict[str, Array]
+    draws: int = 0
+    robots: dict[str, RobotParticles] = field(default_factory=dict)
+    located: dict[str, CameraParticles] = field(default_factory=dict)
+    scale_errors: dict[str, Array] = field(default_factory=dict)
 
     def random(self) -> np.random.Generator:
         return np.random.default_rng([self.seed, self.draws])
 
     @property
+    def stamps_ns(self) -> dict[str, int]:
+        return {name: here.stamp_ns for name, here in self.robots.items()}
+
+    @property
     def cameras(self) -> tuple[str, ...]:
-        return tuple(self.places)
+        return tuple(self.located)
 
     def camera(self, camera: str) -> CameraState:
-        return CameraState(self.places[camera].mean, self.lenses[camera])
+        return CameraState(self.located[camera].poses.mean, self.located[camera].lens)
 
     def estimate(self, camera: str) -> CameraEstimate:
-        lens = self.lenses[camera]
-        return CameraEstimate(
-            self.places[camera].mean,
-            self.joint_covariance([camera]),
-            lens,
-            np.zeros(len(lens.parameters)),
-            0.0,
-            0.0,
-        )
+        pose, lens = self.located[camera].poses.mean, self.located[camera].lens
+        nothing = np.zeros(len(lens.parameters))
+        return CameraEstimate(pose, self.joint_covariance([camera]), lens, nothing, 0.0, 0.0)
 
     def robot(self, robot: str) -> RobotEstimate:
-        tangent = self.tangents[robot]
-        apart = self.poses[robot].errors[:, tangent]
-        covariance = np.cov(apart.T, bias=True) + self.spreads[robot].mean(axis=0)
-        full = np.zeros((6, 6))
-        full[np.ix_(tangent, tangent)] = covariance
-        return RobotEstimate(self.stamps_ns[robot], self.poses[robot].mean, full)
+        here, full = self.robots[robot], np.zeros((6, 6))
+        apart = here.poses.errors[:, here.tangent]
+        covariance = np.cov(apart.T, bias=True) + here.spread.mean(axis=0)
+        full[np.ix_(here.tangent, here.tangent)] = covariance
+        return RobotEstimate(here.stamp_ns, here.poses.mean, full)
 
     def scales(self, robot: str) -> Array:
         if robot not in self.scale_errors:
@@ -83,38 +90,32 @@ class Particles(Struct, frozen=True):
 
     def joint_covariance(self, cameras: list[str]) -> Array:
         """The covariance between the particles plus, on the diagonal, the mean one within them."""
-        errors = [self.places[name].errors for name in cameras]
+        errors = [self.located[name].poses.errors for name in cameras]
         joint = np.cov(np.concatenate(errors, axis=1).T, bias=True)
         for index, name in enumerate(cameras):
             rows = slice(6 * index, 6 * index + 6)
-            joint[rows, rows] += self.covariances[name].mean(axis=0)
+            joint[rows, rows] += self.located[name].covariance.mean(axis=0)
         return joint
 
     def particles(self, robot: str) -> Pose:
         random = np.random.default_rng([self.seed, self.draws, _SHOWN])
         chosen = random.choice(PARTICLES, _SHOWN, replace=False)
-        tangent = self.tangents[robot]
-        drawn = np.zeros((_SHOWN, 6))
-        draws = random.standard_normal((_SHOWN, len(tangent)))
-        root, _ = roots(self.spreads[robot][chosen])
-        drawn[:, tangent] = (root @ draws[..., None])[..., 0]
-        return self.poses[robot].poses[chosen].disturbed(drawn)
+        here, drawn = self.robots[robot], np.zeros((_SHOWN, 6))
+        draws = random.standard_normal((_SHOWN, len(here.tangent)))
+        root, _ = roots(here.spread[chosen])
+        drawn[:, here.tangent] = (root @ draws[..., None])[..., 0]
+        return here.poses.poses[chosen].disturbed(drawn)
 
     # -- changes -----------------------------------------------------------------------------------
 
     def with_robot(self, data: DataSet, robot: str, map_from_base: Pose, stamp_ns: int) -> Self:
         """With a robot about a pose, with a covariance as wide as if nothing were known."""
-        tangent = data.tracks[robot].tangent
-        wide = np.broadcast_to(
-            _UNKNOWN_VARIANCE * np.eye(len(tangent)), (PARTICLES, *[len(tangent)] * 2)
-        )
-        filter_state = replace(
-            self,
-            stamps_ns=self.stamps_ns | {robot: stamp_ns},
-            tangents=self.tangents | {robot: tangent},
-            poses=self.poses | {robot: PoseSamples.of(map_from_base.repeated(PARTICLES))},
-            spreads=self.spreads | {robot: wide},
-        )
+        tangent, poses = data.tracks[robot].tangent, map_from_base.repeated(PARTICLES)
+        d = len(tangent)
+        wide = np.broadcast_to(_UNKNOWN_VARIANCE * np.eye(d), (PARTICLES, d, d))
+        crossed = np.zeros((PARTICLES, d, 6))
+        here = RobotParticles(stamp_ns, tangent, PoseSamples.of(poses), wide, None, crossed)
+        filter_state = replace(self, robots=self.robots | {robot: here})
         noise = data.site.robots[robot].odometry
         sigmas = np.array([noise.distance_scale, noise.heading_scale])
         if robot in self.scale_errors or not np.any(sigmas > 0):
@@ -124,14 +125,17 @@ class Particles(Struct, frozen=True):
         return replace(filter_state, draws=self.draws + 1, scale_errors=scales)
 
     def spread(self, covariances: dict[str, Array]) -> Self:
-        more = {name: self.covariances[name] + each for name, each in covariances.items()}
-        return replace(self, covariances=self.covariances | more)
+        more = {
+            name: replace(self.located[name], covariance=self.located[name].covariance + each)
+            for name, each in covariances.items()
+        }
+        return replace(self, located=self.located | more)
 
     def with_drawn(self, robots: Iterable[str]) -> Self:
         """With the poses of some robots drawn from their remaining covariance."""
         filter_state = self
         for robot in robots:
-            companion = filter_state.companions.get(robot)
+            companion = filter_state.robots[robot].companion
             names = [companion] if companion is not None else []
             covariance = filter_state.together(robot, names)
             none = np.zeros(covariance.shape[:2])
@@ -140,21 +144,22 @@ class Particles(Struct, frozen=True):
 
     def together(self, robot: str, cameras: list[str]) -> Array:
         """Covariance (n, m, m) of a robot's pose and some cameras in each particle."""
-        d = len(self.tangents[robot])
+        here = self.robots[robot]
+        d = len(here.tangent)
         whole = np.zeros((PARTICLES, d + 6 * len(cameras), d + 6 * len(cameras)))
-        whole[:, :d, :d] = self.spreads[robot]
+        whole[:, :d, :d] = here.spread
         for index, name in enumerate(cameras):
             rows = slice(d + 6 * index, d + 6 * index + 6)
-            whole[:, rows, rows] = self.covariances[name]
-            if self.companions.get(robot) == name:
-                whole[:, :d, rows] = self.crossed[robot]
-                whole[:, rows, :d] = transposed(self.crossed[robot])
+            whole[:, rows, rows] = self.located[name].covariance
+            if here.companion == name:
+                whole[:, :d, rows] = here.crossed
+                whole[:, rows, :d] = transposed(here.crossed)
         return whole
 
     def drawn_from(self, robot: str, cameras: list[str], step: Array, covariance: Array) -> Self:
         """Draw the robot's pose and condition the cameras on it, given the mean steps (n, m) and
         the joint covariance (n, m, m) of them all."""
-        d = len(self.tangents[robot])
+        d = len(self.robots[robot].tangent)
         others = covariance[:, d:, :d]
         root, inverse = roots(covariance[:, :d, :d])
         gain = others @ inverse
@@ -170,35 +175,28 @@ class Particles(Struct, frozen=True):
     def moved(self, robot: str, cameras: list[str], steps: list[Array], covariance: Array) -> Self:
         """Move a robot and cameras by steps (n, m), one after the other, and set their covariance
         (n, m, m) then; the last camera becomes the robot's companion."""
-        tangent = self.tangents[robot]
-        d = len(tangent)
-        disturbances = [np.zeros((PARTICLES, 6)) for _ in steps]
+        here, located = self.robots[robot], dict(self.located)
+        d, companion = len(here.tangent), None
+        disturbances, crossed = np.zeros((len(steps), PARTICLES, 6)), np.zeros((PARTICLES, d, 6))
         for disturbance, step in zip(disturbances, steps, strict=True):
-            disturbance[:, tangent] = step[:, :d]
-        places, covariances = dict(self.places), dict(self.covariances)
-        companions, crossed = dict(self.companions), dict(self.crossed)
-        companions.pop(robot, None)
-        crossed.pop(robot, None)
+            disturbance[:, here.tangent] = step[:, :d]
         for index, name in enumerate(cameras):
             rows = slice(d + 6 * index, d + 6 * index + 6)
-            places[name] = places[name].disturbed([step[:, rows] for step in steps])
-            covariances[name] = symmetric(covariance[:, rows, rows])
-            companions[robot], crossed[robot] = name, covariance[:, :d, rows]
-        return replace(
-            self,
-            poses=self.poses | {robot: self.poses[robot].disturbed(disturbances)},
-            spreads=self.spreads | {robot: symmetric(covariance[:, :d, :d])},
-            companions=companions,
-            crossed=crossed,
-            places=places,
-            covariances=covariances,
-        )
+            located[name] = replace(
+                located[name],
+                poses=located[name].poses.disturbed([step[:, rows] for step in steps]),
+                covariance=symmetric(covariance[:, rows, rows]),
+            )
+            companion, crossed = name, covariance[:, :d, rows]
+        poses, spread = here.poses.disturbed(disturbances), symmetric(covariance[:, :d, :d])
+        there = RobotParticles(here.stamp_ns, here.tangent, poses, spread, companion, crossed)
+        return replace(self, robots=self.robots | {robot: there}, located=located)
 
     def errors(self) -> list[Array]:
         """Each particle's disturbances of the robots and the cameras, and its scale errors, by part
         (n, …)."""
-        parts = [poses.disturbances[:, self.tangents[name]] for name, poses in self.poses.items()]
-        parts += [places.disturbances for places in self.places.values()]
+        parts = [here.poses.disturbances[:, here.tangent] for here in self.robots.values()]
+        parts += [camera.poses.disturbances for camera in self.located.values()]
         return [*parts, *self.scale_errors.values()]
 
     def resampled(self, shown: Array, weights: Array) -> Self:
@@ -207,31 +205,27 @@ class Particles(Struct, frozen=True):
         errors = np.concatenate(parts, axis=1)
         drawn, indices = resampled(errors, shown, weights, self.random())
         split = iter(np.split(drawn, np.cumsum([part.shape[1] for part in parts])[:-1], axis=1))
-        poses = {}
-        for name, samples in self.poses.items():
+        robots = {}
+        for name, here in self.robots.items():
             disturbance = np.zeros((PARTICLES, 6))
-            disturbance[:, self.tangents[name]] = next(split)
-            poses[name] = samples.redrawn(disturbance)
+            disturbance[:, here.tangent] = next(split)
+            poses, spread = here.poses.redrawn(disturbance), here.spread[indices]
+            crossed = here.crossed[indices]
+            robots[name] = replace(here, poses=poses, spread=spread, crossed=crossed)
+        located = {
+            name: CameraParticles(
+                each.poses.redrawn(next(split)), each.covariance[indices], each.lens
+            )
+            for name, each in self.located.items()
+        }
+        scale_errors = {name: next(split) for name in self.scale_errors}
         return replace(
-            self,
-            draws=self.draws + 1,
-            poses=poses,
-            spreads={name: spread[indices] for name, spread in self.spreads.items()},
-            places={name: samples.redrawn(next(split)) for name, samples in self.places.items()},
-            covariances={name: c[indices] for name, c in self.covariances.items()},
-            crossed={name: c[indices] for name, c in self.crossed.items()},
-            scale_errors={name: next(split) for name in self.scale_errors},
+            self, draws=self.draws + 1, robots=robots, located=located, scale_errors=scale_errors
         )
 
     def without_robot(self, robot: str) -> Self:
-        return replace(
-            self,
-            companions={name: c for name, c in self.companions.items() if name != robot},
-            crossed={name: c for name, c in self.crossed.items() if name != robot},
-            stamps_ns={name: stamp for name, stamp in self.stamps_ns.items() if name != robot},
-            poses={name: pose for name, pose in self.poses.items() if name != robot},
-            spreads={name: spread for name, spread in self.spreads.items() if name != robot},
-        )
+        robots = {name: here for name, here in self.robots.items() if name != robot}
+        return replace(self, robots=robots)
 
 
 def roots(covariances: Array) -> tuple[Array, Array]:

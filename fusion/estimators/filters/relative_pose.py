@@ -9,12 +9,14 @@ Computations», section 5.3). Both filters use this as their measurement.
 import numpy as np
 from msgspec import Struct
 
+from trigpoint.fusion.association.sightings import all_without_wild
 from trigpoint.fusion.model.gates import WILD_CORNER_SIGMAS, WILD_SHARE
 from trigpoint.fusion.model.observations import Observation, base_from_faces, points_of
 from trigpoint.fusion.model.projection import projected
 from trigpoint.fusion.solver.picture_jitter import PictureJitter
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
+from trigpoint.geometry.uncertainty import turned_axes
 from trigpoint.site.target import Target
 
 _LEAST_CORNERS = 4
@@ -68,7 +70,7 @@ def relative_view(
         return None
     freedom = len(residual) - 6
     if variances is not None:
-        by_base = jacobian @ np.kron(np.eye(2), camera_from_base.rotation)
+        by_base = jacobian @ turned_axes(camera_from_base.rotation)
         jitter = PictureJitter.by(by_base[None], variances[None])
         (jacobian,), (residual,) = jitter.rows(jacobian[None], residual[None])
     basis, root = np.linalg.qr(jacobian)
@@ -81,7 +83,7 @@ def relative_view(
 def without_wild_corners(
     observation: Observation, target: Target, lens: CameraModel, camera_from_base: Pose
 ) -> Observation | None:
-    """Mark the corners of an observation that no nearby pose explains as outliers, worst first.
+    """Mark the corners of an observation that no nearby pose explains as outliers.
 
     None where there are too many outliers, or nothing is left to fit.
     """
@@ -90,24 +92,7 @@ def without_wild_corners(
     if not np.all(found.is_ahead):
         return None
     weights = points.weights[:, None]
-    jacobian = found.by_body * weights[..., None]
-    residual = (found.pixels - points.pixels) * weights
-    kept = np.ones(len(residual), dtype=bool)
-    most = max(int(WILD_SHARE * len(kept)), 0)
-    while kept.sum() >= _LEAST_CORNERS:
-        length = _unexplained(jacobian, residual, kept)
-        worst = int(np.argmax(np.where(kept, length, 0.0)))
-        if not length[worst] > WILD_CORNER_SIGMAS:
-            return observation.marked(~kept)
-        kept[worst] = False
-        if (~kept).sum() > most:
-            return None
-    return None
-
-
-def _unexplained(jacobian: Array, residual: Array, kept: np.ndarray) -> Array:
-    """Length (n,) of each corner's residual in sigmas once the pose fits the kept ones best."""
-    step, *_ = np.linalg.lstsq(
-        jacobian[kept].reshape(-1, 6), residual[kept].reshape(-1), rcond=None
-    )
-    return np.linalg.norm(residual - jacobian @ step, axis=-1)
+    by_pose, residual = found.by_body * weights[..., None], (found.pixels - points.pixels) * weights
+    _, (wild,) = all_without_wild(by_pose[None], residual[None], WILD_CORNER_SIGMAS**2)
+    is_wrong = wild.mean() > WILD_SHARE or np.sum(~wild) < _LEAST_CORNERS
+    return None if is_wrong else observation.marked(wild)

@@ -8,34 +8,37 @@ everything is explained anew.
 import bisect
 from collections import defaultdict
 from collections.abc import Callable, Mapping
-from copy import copy
 
 import numpy as np
 from msgspec.structs import replace
+from numpy.linalg import LinAlgError
 
 from trigpoint.base.clock import to_ns
+from trigpoint.fusion.estimators.robot_alignment import align_to
 from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.gates import is_noise
 from trigpoint.fusion.model.observations import Observation, Verdict
 from trigpoint.fusion.model.problem import CameraState
 from trigpoint.fusion.solver.filter import RobotEstimate, is_placed
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
-from .filter_state import FilterState, Innovation
-from .history import Step
-from .sighting_update import first_sighting, is_expected, predicted_at, read_sighting
+from .contradictions import Step
+from .filter_state import FilterState, Innovation, ReadSighting
+from .relative_pose import without_wild_corners
 
 _HISTORY = 64
 
 
 class Replay:
-    """A filter and its steps so far. `filter_state`: after all of the `steps`; `located`: the
-    approximate states of cameras, by all of their sightings; `left_open`: by camera, the covariance
-    (6, 6) of what explanations leave open of its pose, which the state has in it."""
+    """A filter and its steps so far. `has_begun`: whether the odometry that fixes the map has;
+    `filter_state`: after all of the `steps`; `located`: the approximate states of cameras, by all
+    of their sightings; `left_open`: by camera, the covariance (6, 6) of what explanations leave
+    open of its pose, which the state has in it."""
 
     def __init__(self, data: DataSet, origin: Callable[[DataSet], FilterState]) -> None:
         self._data, self._origin = data, origin
-        self.filter_state = origin(data)
+        self.filter_state, self.has_begun = origin(data), False
         self.steps: list[Step] = []
         self.located: Mapping[str, CameraState] = {}
         self.left_open: Mapping[str, Array] = {}
@@ -43,11 +46,10 @@ class Replay:
         # By entry, where several pictures share a tilt: see `Jitter.among`.
         self._variances: dict[int, Array] = {}
 
-    def copy(self) -> "Replay":
-        """A copy, to continue from if the next observation is unusable."""
-        other = copy(self)
-        other.steps = list(self.steps)
-        return other
+    def begin(self, robot: str) -> None:
+        """Note a robot's odometry."""
+        if not self.has_begun and (robot == self._data.anchored_robot or self._data.known.poses):
+            self.filter_state, self.has_begun = self._origin(self._data), True
 
     def is_located(self, camera: str) -> bool:
         return camera in self.located or camera in self._data.known.poses
@@ -55,18 +57,24 @@ class Replay:
     # -- which sighting comes next ----------------------------------------------------------------
 
     def insert(self, index: int) -> RobotEstimate | None:
-        """Use a sighting at its place in time; None where it makes no correction."""
+        """Use a sighting at its place in time; None where it makes no correction. Where it is
+        numerically unusable, everything is as before it, and LinAlgError or ValueError raised."""
         if not self.is_located(self._data.entries[index].observation.camera):
             return None
         place = bisect.bisect_right(self.steps, self._time_ns(index), key=lambda s: s.time_ns)
         if place < len(self.steps) and self.steps[place].before is None:
             return None  # older than the history
-        later = self._back_to(place)
-        correction = self._take(index)
-        for step in later:
-            self._take(step.entry)
-        if place < self._spread_after:  # the states before it are without
-            self._spread()
+        before = self.filter_state, list(self.steps), self._spread_after
+        try:
+            later = self._back_to(place)
+            correction = self._take(index)
+            for step in later:
+                self._take(step.entry)
+            if place < self._spread_after:  # the states before it are without
+                self._spread()
+        except (LinAlgError, ValueError):
+            self.filter_state, self.steps, self._spread_after = before
+            raise
         return correction
 
     def restart(self, located: Mapping[str, CameraState], left_open: Mapping[str, Array]) -> None:
@@ -134,35 +142,65 @@ class Replay:
         """The state updated by a sighting of one of its cameras, where it does not contradict
         it."""
         entry = self._data.entries[index]
-        filter_state, predicted = predicted_at(self._data, before, entry.observation.robot, time_ns)
+        filter_state, predicted = self._predicted(before, entry.observation.robot, time_ns)
         scales = filter_state.scales(entry.observation.robot)
         observation = self._data.moving(entry.observation, time_ns, scales)
-        sighting = read_sighting(
-            self._data, filter_state, _as_read(observation), predicted, self._disturbance(index)
-        )
+        sighting = self._read(filter_state, _as_read(observation), predicted, index)
         if sighting is None:
             return None
         if observation.chosen is None:
             entry.observation = sighting.observation
         updated = filter_state.updated(self._data, sighting)
-        if updated is None or not is_expected(updated[1]):
+        return updated if updated is not None and updated[1].is_expected else None
+
+    def _predicted(
+        self, before: FilterState, robot: str, time_ns: int
+    ) -> tuple[FilterState, RobotEstimate | None]:
+        """The state at a later time, and the robot there; None where its pose is not known."""
+        if robot not in before.stamps_ns:
+            return before, None
+        filter_state = before.advanced(self._data, robot, time_ns)
+        predicted = filter_state.robot(robot)
+        if not is_placed(predicted.covariance):
+            return before.without_robot(robot), None
+        return filter_state, predicted
+
+    def _read(
+        self, state: FilterState, seen: Observation, predicted: RobotEstimate | None, index: int
+    ) -> ReadSighting | None:
+        """An entry in its best reading; None where that is ambiguous or nothing fits."""
+        camera = state.estimate(seen.camera)
+        lens, map_from_camera = camera.lens, camera.map_from_camera
+        found = align_to(self._data, seen, lens, map_from_camera, camera.covariance, predicted)
+        if found is None:
             return None
-        return updated
+        pose = map_from_camera.inverse() @ found.map_from_base
+        sound = without_wild_corners(found.read(seen), self._data.targets[seen.robot], lens, pose)
+        if sound is None:
+            return None
+        variances = self._disturbance(index)
+        return ReadSighting(sound, found.map_from_base, variances, places_robot=predicted is None)
 
     def _begun(
         self, before: FilterState, index: int, time_ns: int
     ) -> tuple[FilterState, Innovation] | None:
-        """The state with a camera that all of its sightings located, added by its first one."""
+        """The state with a camera that all of its sightings located, added by its first one, where
+        that does not contradict them."""
         entry = self._data.entries[index]
-        observation = _as_read(entry.observation)
-        filter_state, predicted = predicted_at(self._data, before, observation.robot, time_ns)
-        if predicted is None or entry.map_from_base is None or observation.chosen is None:
+        observation, stood = _as_read(entry.observation), entry.map_from_base
+        filter_state, predicted = self._predicted(before, observation.robot, time_ns)
+        if predicted is None or stood is None or observation.chosen is None:
             return None
-        camera = self.located[observation.camera]
-        sighting = first_sighting(
-            self._data, observation, camera, entry.map_from_base, self._disturbance(index)
-        )
-        return filter_state.with_camera(self._data, sighting, camera) if sighting else None
+        camera, target = self.located[observation.camera], self._data.targets[observation.robot]
+        pose, variances = camera.map_from_camera.inverse() @ stood, self._disturbance(index)
+        sound = without_wild_corners(observation, target, camera.lens, pose)
+        if sound is None:
+            return None
+        sighting = ReadSighting(sound, stood, variances)
+        view = sighting.view(self._data, camera.lens, pose)
+        if view is None or not is_noise(float(view.residual @ view.residual), len(view.residual)):
+            return None
+        return filter_state.with_camera(self._data, sighting, camera)
 
     def _disturbance(self, index: int) -> Array | None:
         """The variances (6,) of the robot's deviation in one picture; None where there is none."""

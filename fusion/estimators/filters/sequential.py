@@ -14,29 +14,32 @@ from trigpoint.fusion.association.explanation import Alternative
 from trigpoint.fusion.estimators.change_reports import report_changes
 from trigpoint.fusion.estimators.explained_data import explained, left_open
 from trigpoint.fusion.estimators.explainer import Explainer
-from trigpoint.fusion.estimators.interface import CameraCount, CameraEstimate, Trajectory, Update
-from trigpoint.fusion.estimators.residuals import CameraResiduals
+from trigpoint.fusion.estimators.interface import (
+    CameraCount,
+    CameraEstimate,
+    Live,
+    Trajectory,
+    Update,
+)
 from trigpoint.fusion.model.dataset import CameraMove, DataSet, Entry
 from trigpoint.fusion.model.observations import Observation, Verdict, base_from_faces
 from trigpoint.fusion.model.readings import Readings
+from trigpoint.fusion.model.trajectory import interpolated
 from trigpoint.fusion.solver.filter import RobotEstimate, carried_on, is_placed
-from trigpoint.fusion.solver.snapshot import GuidanceWorld
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
-from .filter_state import FilterState
-from .history import Step, chi2_per_dof, contradictions, nodes_of, poses_at, rms_px
+from .contradictions import Step, contradictions
+from .filter_state import FilterState, Innovation
 from .replay import Replay
 
 
-class SequentialEstimator:
+class SequentialEstimator(Live):
     """See `Estimator`. `origin`: the filter state before any sighting."""
 
     def __init__(self, data: DataSet, origin: Callable[[DataSet], FilterState]) -> None:
-        self.data, self._origin = data, origin
+        self.data, self._replay = data, Replay(data, origin)
         self._explainer = Explainer(data)
-        # None before the odometry that fixes the map begins.
-        self._replay: Replay | None = None
         # Until when contradictions were reported, by camera or robot.
         self._told_ns: dict[str, int] = {}
         self._carried: dict[str, tuple[FilterState, RobotEstimate]] = {}
@@ -47,8 +50,7 @@ class SequentialEstimator:
 
     def add_odometry(self, robot: str, readings: Readings) -> list[int]:
         added = self.data.tracks[robot].add_run(readings)
-        if self._replay is None and (robot == self.data.anchored_robot or self.data.known.poses):
-            self._replay = Replay(self.data, self._origin)
+        self._replay.begin(robot)
         return added
 
     def add_observation(self, observation: Observation) -> Update:
@@ -56,21 +58,15 @@ class SequentialEstimator:
             return Update()
         if observation.is_repeat:
             return Update(correction=self._known_place(observation))
-        index, replay = len(self.data.entries), self._replay
+        index = len(self.data.entries)
         self.data.entries.append(Entry(self.data.concluded(observation)))
-        if replay is None:
-            self._explainer.take(observation, is_used=False)
-            return Update()
         if self._is_outdated(observation):
             self._explainer.take(observation, is_used=False)
             return self._explained_where_due(None)
-        before = replay.copy()
         try:
-            correction = replay.insert(index)
+            correction = self._replay.insert(index)
         except (LinAlgError, ValueError) as reason:
-            # Discard a numerically unusable observation; the state is as before it.
             self.data.forget_from(index)
-            self._replay = before
             return Update(problem=f"a sighting of {observation.camera} is unusable ({reason})")
         verdict = self.data.entries[index].observation.verdict
         self._explainer.take(observation, is_used=verdict is Verdict.ACCEPTED)
@@ -82,13 +78,16 @@ class SequentialEstimator:
 
     def _explained_where_due(self, correction: RobotEstimate | None) -> Update:
         """The update by an observation; where much is unexplained by now, all of it anew."""
-        replay = self._replay
-        if replay is None or not self._explainer.has_unexplained:
+        if not self._explainer.has_unexplained:
             return Update(correction=correction)
-        before_it = set(replay.filter_state.cameras)
+        before_it = set(self._filter_state.cameras)
         self.finish()
-        located = tuple(name for name in replay.filter_state.cameras if name not in before_it)
+        located = tuple(name for name in self._filter_state.cameras if name not in before_it)
         return Update(correction, located)
+
+    @property
+    def _filter_state(self) -> FilterState:
+        return self._replay.filter_state
 
     def collect(self, observation: Observation) -> None:
         self._explainer.take(observation, is_used=False)
@@ -126,7 +125,7 @@ class SequentialEstimator:
         """Explain everything that came, unless that is done already, and process what the
         explanation uses from the beginning, in order of time."""
         replay = self._replay
-        if replay is None or not self._explainer.has_new:
+        if not replay.has_begun or not self._explainer.has_new:
             return
         before = list(self.data.changes)
         explanation = self._explainer.explain()
@@ -144,9 +143,9 @@ class SequentialEstimator:
     # -- output -----------------------------------------------------------------------------------
 
     def robot(self, robot: str) -> RobotEstimate | None:
-        if self._replay is None or robot not in self._replay.filter_state.stamps_ns:
+        filter_state, known = self._filter_state, self._carried.get(robot)
+        if robot not in filter_state.stamps_ns:
             return None
-        filter_state, known = self._replay.filter_state, self._carried.get(robot)
         estimate = known[1] if known and known[0] is filter_state else filter_state.robot(robot)
         last_ns = self.data.tracks[robot].last_ns
         estimate = carried_on(self.data, robot, estimate, last_ns, filter_state.scales(robot))
@@ -154,29 +153,25 @@ class SequentialEstimator:
         return estimate
 
     def particles(self, robot: str) -> Pose | None:
-        if self._replay is None or robot not in self._replay.filter_state.stamps_ns:
+        if robot not in self._filter_state.stamps_ns:
             return None
-        now = self._replay.filter_state.advanced(self.data, robot, self.data.tracks[robot].last_ns)
+        now = self._filter_state.advanced(self.data, robot, self.data.tracks[robot].last_ns)
         return now.particles(robot)
 
     def cameras(self) -> dict[str, CameraEstimate]:
         """The located cameras whose pose in the map is known, in the site's order."""
-        if self._replay is None:
-            return {}
-        filter_state = self._replay.filter_state
+        filter_state = self._filter_state
         here = [name for name in self.data.site.cameras if name in filter_state.cameras]
         estimates = {name: filter_state.estimate(name) for name in here}
         return {name: e for name, e in estimates.items() if is_placed(e.covariance)}
 
     @property
     def located_count(self) -> int:
-        return len(self._replay.filter_state.cameras) if self._replay is not None else 0
+        return len(self._filter_state.cameras)
 
     def joint_covariance(self) -> Array:
         placed = list(self.cameras())
-        if self._replay is None or not placed:
-            return np.zeros((0, 0))
-        return self._replay.filter_state.joint_covariance(placed)
+        return self._filter_state.joint_covariance(placed) if placed else np.zeros((0, 0))
 
     def undetermined(self) -> dict[str, tuple[str, ...]]:
         return self._explainer.undetermined(self.cameras())
@@ -187,35 +182,45 @@ class SequentialEstimator:
     def count(self, camera: str) -> CameraCount:
         entries = self.data.of_camera(camera)
         sightings = sum(len(entry.observation.views) for entry in entries)
-        if self._replay is None:
-            return CameraCount(sightings, 0, None)
         used = sum(entry.observation.used_views for entry in entries)
         rejected = sightings - used if self._replay.is_located(camera) else 0
-        return CameraCount(sightings, rejected, rms_px(self.data, self._replay.steps, camera))
+        squares = [innovation.rms_px**2 for innovation in self._innovations(camera)]
+        rms_px = float(np.sqrt(np.mean(squares))) if squares else None
+        return CameraCount(sightings, rejected, rms_px)
+
+    def _innovations(self, camera: str | None = None) -> list[Innovation]:
+        """Those of the used sightings, of all cameras or of one."""
+        return [
+            step.innovation
+            for step in self._replay.steps
+            if step.innovation is not None
+            and camera in (None, self.data.entries[step.entry].observation.camera)
+        ]
 
     def trajectory(self, robot: str) -> Trajectory | None:
-        if self._replay is None:
-            return None
-        stamps_ns = self.data.tracks[robot].stamps_ns
-        nodes = nodes_of(self.data, self._replay.steps, robot)
+        track = self.data.tracks[robot]
+        is_origin = robot == self.data.anchored_robot and len(track)
+        nodes = {track.first_ns: track.odom_from_base[0]} if is_origin else {}
+        for step in self._replay.steps:
+            is_mine = self.data.entries[step.entry].observation.robot == robot
+            if is_mine and step.map_from_base is not None:
+                nodes[step.time_ns] = step.map_from_base
         if not nodes:
             return None
-        poses = poses_at(self.data, self._replay.filter_state, robot, nodes, stamps_ns)
-        return Trajectory(stamps_ns.copy(), poses)
+        nodes_ns, poses = np.array(list(nodes)), Pose.stack(list(nodes.values()))
+        return Trajectory(
+            track.stamps_ns.copy(),
+            interpolated(track, self.scales(robot), nodes_ns, poses, track.stamps_ns),
+        )
 
     def scales(self, robot: str) -> Array:
-        return self._replay.filter_state.scales(robot) if self._replay is not None else np.zeros(2)
+        return self._filter_state.scales(robot)
 
     def base_from_faces(self, robot: str) -> Pose:
         return base_from_faces(self.data.targets[robot])
 
     @property
     def chi2_per_dof(self) -> float | None:
-        return chi2_per_dof(self._replay.steps) if self._replay is not None else None
-
-    def guidance_world(self) -> GuidanceWorld | None:
-        return None  # a filter keeps no problem to ask
-
-    def residuals(self, camera: str) -> CameraResiduals | None:
-        assert camera in self.data.site.cameras
-        return None
+        used = self._innovations()
+        freedom = sum(innovation.total_freedom for innovation in used)
+        return sum(innovation.total for innovation in used) / freedom if freedom > 0 else None

@@ -257,7 +257,7 @@ def observed(session: Session, *, most: int | None = None) -> DataSet:
     """What the session's cameras saw of r1, without a place, up to so many observations."""
     inputs = session.inputs
     data = DataSet(inputs.site, inputs.targets, dict(inputs.lenses), inputs.known)
-    intake = Intake(inputs.site, inputs.targets)
+    intake = Intake(data)
     for node, message in session.messages:
         if isinstance(message, Odometry):
             data.tracks[node].add(message.stamp_ns, message.pose)

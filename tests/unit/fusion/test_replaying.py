@@ -20,7 +20,6 @@ from trigpoint.contract.messages import Odometry, Sightings
 from trigpoint.fusion.inbox import Input
 from trigpoint.fusion.live.solver_messages import (
     Order,
-    TakeLens,
     TakeObservation,
     TakeOdometry,
 )
@@ -85,7 +84,7 @@ def flat(orders: list[Order]) -> list[object]:
             here = observation.camera, observation.robot, observation.stamp_ns, twists
             found.append((here, {robot: b"".join(each) for robot, each in seen.items()}))
         else:
-            found.append((type(order), order.camera if isinstance(order, TakeLens) else None))
+            found.append(type(order))
     return found
 
 

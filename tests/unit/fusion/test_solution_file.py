@@ -20,7 +20,7 @@ from trigpoint.contract.messages import PoseEstimate
 from trigpoint.fusion.checked_file import save_checked
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.inbox import Input
-from trigpoint.fusion.live.solver_messages import Solution
+from trigpoint.fusion.live.solver_messages import Solved
 from trigpoint.fusion.pipeline import Inputs, Pipeline
 from trigpoint.fusion.replaying import replayed
 from trigpoint.fusion.solution_file import SOLUTION, SolutionFile
@@ -73,7 +73,7 @@ def killed(charuco: Session) -> Pipeline:
     return pipeline
 
 
-def again(session: Session, solution: Solution | None, *, calls: int = NEVER) -> Pipeline:
+def again(session: Session, solution: Solved | None, *, calls: int = NEVER) -> Pipeline:
     """Fusion started again, whose solver takes so many turns to answer."""
     solver = SlowSolver(session.inputs, calls=calls)
     pipeline = Pipeline(session.inputs, is_live=False, solver=solver)
@@ -185,9 +185,9 @@ def test_file_says_the_same(charuco: Session, killed: Pipeline, tmp_path: Path) 
     assert solution is not None
     assert found is not None
     assert found.until_ns == solution.until_ns
-    assert found.solved.shares == solution.solved.shares
-    assert found.solved.located == solution.solved.located
-    known, here = solution.solved.known, found.solved.known
+    assert found.shares == solution.shares
+    assert found.located == solution.located
+    known, here = solution.known, found.known
     np.testing.assert_allclose(here.known.covariance, known.known.covariance, atol=1e-10)
     assert np.array_equal(known.known.mean, here.known.mean)
     assert here.stamps_ns == known.stamps_ns
@@ -257,4 +257,4 @@ def test_nobody_waits_for_the_disk_and_the_last_solution_is_written(
     found, solution = file.load(later.map_id, NOW_NS), later.reports.solution
     assert found is not None
     assert solution is not None
-    assert np.array_equal(found.solved.known.known.mean, solution.solved.known.known.mean)
+    assert np.array_equal(found.known.known.mean, solution.known.known.mean)

@@ -146,7 +146,11 @@ def used_table(results: CalibrationResults) -> str:
     rows = []
     for index, (name, found) in enumerate(results.residuals.items()):
         wild = int((~found.used).sum())
-        numbers = (found.used_sightings, found.rejected, found.pending, int(found.used.sum()), wild)
+        camera = results.network.cameras[name]
+        read = camera.sightings if camera.status == "located" else 0
+        pending = camera.sightings - read
+        corners = int(found.used.sum())
+        numbers = (read - camera.rejected, camera.rejected, pending, corners, wild)
         cells = (_DISC + escape(name), *map(str, numbers))
         rows.append(row(cells, class_=camera_colour(index)))
     return table(head, rows)

@@ -10,10 +10,15 @@ from benchmarks.fusion.accuracy_map import drawn
 from benchmarks.fusion.hall import hall
 from benchmarks.study.session import plain_inputs
 from trigpoint.contract.coverage import NOT_CORRECTED, UNKNOWN
-from trigpoint.fusion.coverage.accuracy_map import NOBODY, AccuracyMap, accuracy_map, middle
+from trigpoint.fusion.coverage.accuracy_map import (
+    NOBODY,
+    AccuracyMap,
+    accuracy_map,
+    grid_values,
+    middle,
+)
 from trigpoint.fusion.coverage.announced import AnnouncedMap
 from trigpoint.fusion.coverage.floor import Floor, floor_of
-from trigpoint.fusion.coverage.grid import grid_values
 from trigpoint.fusion.coverage.known_network import KnownNetwork, carried_by, known_network
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.geometry import Pose

@@ -53,6 +53,18 @@ def moved(plan: Plan, camera: str, by_m: float) -> Plan:
     return replace(plan, cameras=plan.cameras | {camera: replace(eye, map_from_camera=pose)})
 
 
+def test_robots_go_on_with_the_noise_that_was_learnt(
+    drive: Session, results: Results, fixed: FixedNetwork
+) -> None:
+    inputs = fixed.inputs(drive.inputs)
+    stated, concluded = inputs.data_set().conclusions().noise["r1"], inputs.data_set().conclusions()
+    learnt = replace(stated[0], distance=3 * stated[0].distance), 2 * stated[1], 0.02
+    held = FixedNetwork.of(results, inputs.site, replace(concluded, noise={"r1": learnt}))
+    data = inputs.data_set()
+    fixed_map.FixedMap(data, held, lambda: None)
+    assert data.conclusions().noise["r1"] == learnt
+
+
 def test_corrections_are_honest_and_as_good_as_with_learning(
     drive: Session, fixed: FixedNetwork
 ) -> None:

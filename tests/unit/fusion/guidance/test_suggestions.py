@@ -7,16 +7,14 @@ import numpy as np
 import pytest
 from msgspec import Struct
 from msgspec.structs import replace
-from support.builders import eventually
 from support.fusion.drives import EPOCH_NS, STEP_S, Session, Way, lab_plan, make_session
 
 from trigpoint.base.clock import NANOSECONDS, to_ns
-from trigpoint.contract import cdr, topics
 from trigpoint.contract.messages import PoseStamped, Sightings
 from trigpoint.fusion.guidance.candidates import DRIVEN_M, SEEN_M, Ground
 from trigpoint.fusion.guidance.expected_motion import expected_motion
 from trigpoint.fusion.guidance.suggestions import JointCovariance, Options, options, suggestions
-from trigpoint.fusion.live.guidance_thread import GuidanceThread
+from trigpoint.fusion.live.solver_process import suggested
 from trigpoint.fusion.model.odometry import OdometryTrack
 from trigpoint.fusion.pipeline import Pipeline
 from trigpoint.fusion.replaying import replayed
@@ -24,9 +22,7 @@ from trigpoint.fusion.solver.equations import covariance_of
 from trigpoint.fusion.solver.snapshot import ExpectedMotion, GuidanceWorld, RobotPlace
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
-from trigpoint.node.node import Node
 from trigpoint.site.config import OdometryNoise
-from trigpoint.testing.memory_bus import MemoryBroker
 from trigpoint.tools.simulation.sight.targets import target_of
 
 SECONDS = 20.0
@@ -257,28 +253,12 @@ def test_camera_that_never_saw_a_target_is_not_expected_to_see_one(drive: Drive)
     assert suggestions(replace(drive.world, views=views), "r1") == []
 
 
-# -- on the bus -----------------------------------------------------------------------------------
-
-
 def test_suggestion_goes_to_its_robot_in_the_map(drive: Drive) -> None:
-    broker = MemoryBroker()
-    with (
-        broker.session() as bus,
-        broker.session() as other,
-        Node(bus, site="lab", kind="fusion", name="fusion") as node,
-    ):
-        heard = other.subscribe(topics.SUGGESTION, topics.SUGGESTION.expression("lab"))
-        guidance_thread = GuidanceThread(bus, node, "lab", lambda: drive.world, period_s=0.01)
-        node.work("guides", guidance_thread.run)
-        assert eventually(lambda: heard.depth > 0)
-        node.stop()
-        sample = heard.take(1.0)
-        assert sample is not None
-        assert sample.key == "lab/robot/r1/suggestion"
-        assert sample.encoding == "application/cdr;geometry_msgs/msg/PoseStamped"
-        message = cdr.decode(topics.SUGGESTION.type_name, sample.payload)
-        assert isinstance(message, PoseStamped)
-        assert message.frame_id == "map"
-        assert message.stamp_ns == EPOCH_NS + to_ns(SECONDS)
-        best = suggestions(drive.world, "r1")[0].map_from_base
-        np.testing.assert_allclose(message.pose.difference(best), 0.0, atol=1e-9)
+    (said,) = suggested(drive.world)
+    assert said.topic.key("lab", said.node) == "lab/robot/r1/suggestion"
+    message = said.message
+    assert isinstance(message, PoseStamped)
+    assert message.frame_id == "map"
+    assert message.stamp_ns == EPOCH_NS + to_ns(SECONDS)
+    best = suggestions(drive.world, "r1")[0].map_from_base
+    np.testing.assert_allclose(message.pose.difference(best), 0.0, atol=1e-9)

@@ -11,10 +11,8 @@ from trigpoint.base.clock import to_ns
 from trigpoint.contract.messages import FaceSighting, Sightings
 from trigpoint.fusion.inputs import Inputs
 from trigpoint.fusion.intake.message_intake import Intake
-from trigpoint.fusion.intake.robot_identity import RobotIdentification
-from trigpoint.fusion.intake.standstills import MOST_ALIKE, Standstills
-from trigpoint.fusion.model.odometry import OdometryTrack
-from trigpoint.site.config import OdometryNoise, parse_site
+from trigpoint.fusion.intake.standstills import MOST_ALIKE
+from trigpoint.site.config import parse_site
 from trigpoint.site.target import Target
 
 SITE = """
@@ -32,7 +30,8 @@ port = "loop://"
 
 @pytest.fixture
 def intake() -> Intake:
-    return Intake(parse_site(SITE, directory=Path()), {"r1": make_target()})
+    inputs = Inputs(parse_site(SITE, directory=Path()), {"r1": make_target()})
+    return Intake(inputs.data_set())
 
 
 def see(intake: Intake, camera: str, seconds: float) -> bool:
@@ -87,8 +86,6 @@ def test_of_twins_that_stand_a_stated_number_adds_to_the_map() -> None:
     """So many are written into the checkpoint; the others are used and forgotten."""
     site = parse_site(f'{SITE}[robots.r2]\nport = "loop://"\n', directory=Path())
     targets: dict[str, Target] = dict.fromkeys(("r1", "r2"), make_target())
-    tracks = {robot: OdometryTrack(OdometryNoise(), planar=True) for robot in targets}
-    shared = RobotIdentification(Inputs(site, targets).data_set())
-    twins = Intake(site, targets, shared=shared, standstills=Standstills(tracks))
+    twins = Intake(Inputs(site, targets).data_set())
     added = [see(twins, "c1", 0.2 * number) for number in range(2 * MOST_ALIKE)]
     assert added == [True] * MOST_ALIKE + [False] * MOST_ALIKE

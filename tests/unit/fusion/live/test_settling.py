@@ -1,29 +1,36 @@
 """When a live session is settled."""
 
+import pytest
+from support.fusion.small_problems import small_data
+from support.fusion.solvers import Listed
+
 from trigpoint.base.clock import to_ns
-from trigpoint.fusion.live.settling import SettlingSchedule
+from trigpoint.fusion.live.follower import Follower
 
 
-def is_due(
-    schedule: SettlingSchedule, now_s: float, *, is_quiet: bool = True, is_idle: bool = True
-) -> bool:
-    return schedule.is_due(to_ns(now_s), is_quiet=is_quiet, is_idle=is_idle)
+@pytest.fixture
+def follower() -> Follower:
+    return Follower(small_data(), Listed(), lambda: None)
 
 
-def test_what_came_last_is_settled_once_nothing_new_comes() -> None:
-    schedule = SettlingSchedule()
-    assert not any(is_due(schedule, second, is_quiet=False) for second in range(100))
-    assert not is_due(schedule, 100.5)
-    assert is_due(schedule, 101.5)
-    assert not is_due(schedule, 160.0)
+def is_due(follower: Follower, now_s: float, *, is_new: bool = False) -> bool:
+    return follower.is_to_settle(to_ns(now_s), is_new=is_new)
 
 
-def test_a_busy_solver_is_not_asked() -> None:
-    schedule = SettlingSchedule()
-    is_due(schedule, 1.0, is_quiet=False)
-    assert not is_due(schedule, 10.0, is_idle=False)
-    assert is_due(schedule, 11.0)
+def test_what_came_last_is_settled_once_nothing_new_comes(follower: Follower) -> None:
+    assert not any(is_due(follower, second, is_new=True) for second in range(100))
+    assert not is_due(follower, 100.5)
+    assert is_due(follower, 101.5)
+    assert not is_due(follower, 160.0)
 
 
-def test_nothing_is_settled_before_anything_came() -> None:
-    assert not is_due(SettlingSchedule(), 60.0)
+def test_a_busy_solver_is_not_asked(follower: Follower, monkeypatch: pytest.MonkeyPatch) -> None:
+    is_due(follower, 1.0, is_new=True)
+    follower.ask()
+    assert not is_due(follower, 10.0)
+    monkeypatch.setattr(Follower, "is_answered", True)
+    assert is_due(follower, 11.0)
+
+
+def test_nothing_is_settled_before_anything_came(follower: Follower) -> None:
+    assert not is_due(follower, 60.0)

@@ -197,13 +197,14 @@ def test_what_comes_while_a_checkpoint_is_read_follows_it(
 def test_killed_node_goes_on_from_its_last_solution(charuco: Session, tmp_path: Path) -> None:
     with running(charuco.inputs, tmp_path, SlowSolver) as (killed, node, feed):
         feed(charuco.messages)
-        until(node, lambda: killed._located_count == 3)
+        until(node, lambda: killed._pipeline.located_count == 3)
+        until(node, lambda: killed._solution._kept is killed._pipeline.reports.solution)
 
     def never(inputs: Inputs) -> Solver:
         return SlowSolver(inputs, calls=10**9)
 
     with running(charuco.inputs, tmp_path, never) as (fusion, node, _):
-        until(node, lambda: fusion.is_resumed and fusion._located_count == 3)
+        until(node, lambda: fusion.is_resumed and fusion._pipeline.located_count == 3)
         assert not fusion._pipeline.reports.has_results
 
 

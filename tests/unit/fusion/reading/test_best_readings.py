@@ -4,13 +4,9 @@ import numpy as np
 import pytest
 from support.fusion.slow_readings import outermost, slow_rms_px
 
-from trigpoint.fusion.model.observations import Reading, View, observation_of
+from trigpoint.fusion.model.observations import Reading, View
 from trigpoint.fusion.model.rolling_shutter import Sweep
-from trigpoint.fusion.reading.best_readings import (
-    best_readings,
-    read_where_they_are,
-    readings_rms_px,
-)
+from trigpoint.fusion.reading.best_readings import best_readings, readings_rms_px
 from trigpoint.fusion.reading.visibility import body_of, by_reading
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.site.target import Target
@@ -62,20 +58,6 @@ def test_every_reading_has_its_own_misfit() -> None:
     expected = [slow_rms_px(view, target, LENS, poses[row]) for row, view in enumerate(views)]
     np.testing.assert_allclose(rms, np.concatenate(expected), rtol=1e-9)
     np.testing.assert_array_equal(numbers, [int(np.argmin(each)) for each in expected])
-
-
-def test_pictures_get_their_own_views_readings() -> None:
-    target, random = target_of("charuco"), np.random.default_rng(3)
-    seen = [
-        observation_of("c1", "r1", 0, tuple(random_view(target, random) for _ in range(count)))
-        for count in (1, 3, 2)
-    ]
-    poses = Pose.from_vector(random.normal(0.0, 0.1, (3, 6)) + 3 * np.eye(6)[2])
-    found = read_where_they_are(seen, target, LENS, poses)
-    for row, (readings, rms) in enumerate(found):
-        alone = [best_reading(view, target, poses[row]) for view in seen[row].views]
-        assert readings == tuple(reading for reading, _ in alone)
-        np.testing.assert_allclose(rms, [each for _, each in alone], rtol=1e-9)
 
 
 def test_turned_reading_names_corners_from_the_other_end() -> None:

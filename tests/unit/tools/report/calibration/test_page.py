@@ -40,6 +40,7 @@ from trigpoint.tools.report.calibration.facts import (
     view_angles,
 )
 from trigpoint.tools.report.calibration.page import calibration_page
+from trigpoint.tools.report.calibration.tables import used_table
 
 LENS = CameraModel(640, 480, 500.0, 501.0, 320.0, 240.0, (-0.2, 0.05, 1e-3, 0.0, 0.0))
 EYE = looking_at((2.0, 0.0, 1.6), (0.0, 0.0, 0.6))
@@ -70,7 +71,7 @@ def residuals(count: int = 60, wild: int = 3) -> CameraResiduals:
     used = np.arange(count) >= wild
     return CameraResiduals(
         np.zeros((2, 3)), pixels, random.normal(0, 0.2, (count, 2)), np.full(count, 0.2),
-        used, 10, 2, 1,
+        used,
     )  # fmt: skip
 
 
@@ -140,6 +141,14 @@ def test_intrinsics_stand_with_their_sigmas_and_known_ones_say_so() -> None:
     assert "time offset 12.00 ms 1.00 ms" in text
 
 
+def test_what_became_of_sightings_is_as_the_network_has_it() -> None:
+    shown = used_table(make_results(cameras={"c1": located(), "c2": UNDETERMINED}))
+    rows = re.findall(r"<tr[^>]*>(.*?)</tr>", shown, re.DOTALL)
+    cells = [re.findall(r"<td[^>]*>([0-9]+)</td>", each) for each in rows]
+    # Used, contradicting the rest, not read; then corners.
+    assert cells[1:] == [["10", "2", "0", "57", "3"], ["0", "0", "4", "57", "3"]]
+
+
 def test_undetermined_camera_tells_why_and_where_the_robot_stood() -> None:
     cameras = {"c1": located(), "c2": UNDETERMINED, "c3": CameraRecord("unseen")}
     text = words(calibration_page(make_results(cameras=cameras)))
@@ -185,7 +194,7 @@ def test_what_was_left_out_stands_in_words() -> None:
     assert "pictures of another size than the camera's intrinsics are for 7" in text
     assert "camera c3 sends" in text
     assert "robot r1 was put down" in text
-    assert "c1 10 2 1 57 3" in text  # used, rejected, not read, corners, wild ones
+    assert "c1 10 2 0 57 3" in text  # used, rejected, not read, corners, wild ones
 
 
 def test_noise_that_is_not_as_stated_stands_in_words() -> None:

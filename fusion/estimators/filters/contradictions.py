@@ -1,12 +1,9 @@
-"""The outcome of each sighting that a filter processed; from these, the robots' trajectories and
-the quality of the fit."""
+"""The outcome of each sighting that a filter processed, and those that contradict the rest."""
 
-import numpy as np
 from msgspec import Struct
 
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import Verdict
-from trigpoint.fusion.model.trajectory import interpolated
 from trigpoint.geometry import Pose
 
 from .filter_state import FilterState, Innovation
@@ -24,52 +21,6 @@ class Step(Struct):
     before: FilterState | None
     map_from_base: Pose | None
     innovation: Innovation | None
-
-
-def nodes_of(data: DataSet, steps: list[Step], robot: str) -> dict[int, Pose]:
-    """The robot's poses after its sightings by their times, ascending."""
-    nodes: dict[int, Pose] = {}
-    track = data.tracks[robot]
-    if robot == data.anchored_robot and len(track):
-        nodes[track.first_ns] = track.odom_from_base[0]
-    for step in steps:
-        is_mine = data.entries[step.entry].observation.robot == robot
-        if is_mine and step.map_from_base is not None:
-            nodes[step.time_ns] = step.map_from_base
-    return nodes
-
-
-def poses_at(
-    data: DataSet,
-    filter_state: FilterState,
-    robot: str,
-    nodes: dict[int, Pose],
-    stamps_ns: np.ndarray,
-) -> Pose:
-    """The robot at moments (m,) that odometry covers, by its nodes and its odometry."""
-    track, poses = data.tracks[robot], Pose.stack(list(nodes.values()))
-    nodes_ns = np.array(list(nodes))
-    return interpolated(track, filter_state.scales(robot), nodes_ns, poses, stamps_ns)
-
-
-# -- how well the sightings fit -------------------------------------------------------------------
-
-
-def rms_px(data: DataSet, steps: list[Step], camera: str) -> float | None:
-    """The residuals' RMS of a coordinate over a camera's used sightings; None without any."""
-    squares = [
-        step.innovation.rms_px**2
-        for step in steps
-        if step.innovation is not None and data.entries[step.entry].observation.camera == camera
-    ]
-    return float(np.sqrt(np.mean(squares))) if squares else None
-
-
-def chi2_per_dof(steps: list[Step]) -> float | None:
-    """χ² of all used sightings over its degrees of freedom; None where there are none."""
-    used = [step.innovation for step in steps if step.innovation is not None]
-    freedom = sum(innovation.total_freedom for innovation in used)
-    return sum(innovation.total for innovation in used) / freedom if freedom > 0 else None
 
 
 class Contradiction(Struct, frozen=True):
