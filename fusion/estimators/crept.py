@@ -13,9 +13,6 @@ from trigpoint.fusion.model.observations import Verdict
 from trigpoint.fusion.solver.filter import Filter
 from trigpoint.geometry.rotation import Array
 
-# The relative increase of a variance that changes no sigma by more than a two-hundredth.
-_LITTLE = 0.01
-
 
 def newest_ns(data: DataSet) -> int | None:
     """The stamp of the newest sighting; without one, the time of what is known beforehand."""
@@ -24,18 +21,18 @@ def newest_ns(data: DataSet) -> int | None:
 
 
 def crept(data: DataSet, after: Filter) -> dict[str, Array]:
-    """By camera, the covariance (6, 6) to add to what was solved as though nothing crept, of those
-    where it is not negligible."""
+    """By camera that creeps, the covariance (6, 6) to add to what was solved as though nothing did.
+
+    However little: a past is summarised many times, and what is between two cameras is known far
+    better than where each of them is."""
     end_ns, found = newest_ns(data), {}
     for name, camera in data.site.cameras.items():
         places = [place for place in data.places_of(name) if after.has_camera(place)]
         if end_ns is None or not places:
             continue
-        place = places[-1]
-        spread = Creep.of(camera).covariance(_age_ns(data, place, end_ns))
-        variances = np.diagonal(after.known.covariance_of(after.layout.pose[place]))
-        if np.any(np.diagonal(spread) > _LITTLE * variances):
-            found[place] = spread
+        spread = Creep.of(camera).covariance(_age_ns(data, places[-1], end_ns))
+        if np.any(spread):
+            found[places[-1]] = spread
     return found
 
 
