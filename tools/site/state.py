@@ -207,8 +207,8 @@ def notes(node: NodeStatus) -> list[str]:
     found = [rates, words, losses and f"lost: {losses}"]
     is_told = node.message == "running" or node.message.startswith(LOST_SO_FAR)
     found += ["" if is_told else node.message]
-    if numberless(node.last_error) != numberless(node.message):
-        found += [node.last_error and f"last error: {node.last_error}"]
+    if numberless(node.last_error) not in numberless(node.message):
+        found += [f"last error: {node.last_error}"]
     return [note for note in found if note]
 
 
