@@ -15,6 +15,7 @@ from trigpoint.contract.messages import CameraInfo, FaceSighting, Sightings
 from trigpoint.contract.nudge import NUDGED, NUDGES, Nudge
 from trigpoint.contract.topics import CAMERA_INFO, IMAGE, SIGHTINGS, Topic, command_key
 from trigpoint.geometry import CameraModel
+from trigpoint.node.clock_watch import ClockWatch
 from trigpoint.node.node import Node
 from trigpoint.site.config import Site
 from trigpoint.site.target import Target, load_target
@@ -91,6 +92,15 @@ class EdgeNode:
         self._node.health.gauge("calibration_views", lambda: self._calibration.kept)
         self._pulse = self._node.watchdog.pulse(f"{self._node.label} sees", within_s=_PATIENCE_S)
         self._node.thread("sees", self._run)
+        watch = ClockWatch(
+            self._bus,
+            self._node,
+            self._site,
+            self._clock.now_ns,
+            self._site.bearable_clock_offset_s(self._camera),
+            f"what camera {self._camera} sees is taken for earlier or later",
+        )
+        self._node.work("clock", watch.run)
 
     def _picture_age_s(self) -> float:
         """How long no new picture has come, or since the start."""

@@ -14,10 +14,9 @@ from trigpoint.contract.messages import FaceSighting, Sightings
 from trigpoint.fusion.estimators.interface import Live
 from trigpoint.fusion.model.observations import Observation, View, observation_of, view_of
 from trigpoint.geometry import CameraModel
-from trigpoint.site.config import Site
+from trigpoint.site.config import OFFSET_SIGMAS, Site
 from trigpoint.site.target import Target
 
-from .arrivals import OFFSET_SIGMAS
 from .left_out import LeftOut
 from .robot_identity import RobotIdentification
 from .standstills import Standstills
@@ -67,8 +66,7 @@ class Intake:
         self._most_faces = sum(len(target.faces) for target in targets.values())
         # By how much true time may be ahead of a camera's stamp.
         self._ahead_ns = {
-            name: to_ns(OFFSET_SIGMAS * camera.time_offset_sigma)
-            for name, camera in site.cameras.items()
+            name: to_ns(camera.most_time_offset_s) for name, camera in site.cameras.items()
         }
 
     def learn(self, camera: str, offset_s: float, sigma_s: float) -> None:

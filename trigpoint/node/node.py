@@ -245,6 +245,10 @@ class Node:
         """How long nothing has been heard of `fusion` or `recorder`; None if it never was."""
         return self._peers.silent_s(server)
 
+    def trouble_of(self, server: str) -> str:
+        """What `fusion` or `recorder` says is wrong with it, "" where nothing is."""
+        return self._peers.trouble_of(server)
+
     def diagnostics(self) -> Diagnostics:
         """The node's current diagnostics. Called on the diagnostics thread."""
         if (more := self._bus.unsent - self.health.lost("unsent")) > 0:

@@ -1,7 +1,9 @@
 """What the agent of a camera sends, and when."""
 
+import json
 import logging
 import threading
+import time
 from collections.abc import Iterator
 
 import cv2
@@ -43,6 +45,17 @@ def test_every_picture_gives_sightings_also_where_there_are_none(desk: Desk) -> 
     assert worst_error(face.pixels, face.corners, VIEW) < 0.3
     assert node.health.total("sent lab/camera/c1/sightings") == 3
     assert node.health.total("faces") == 1
+
+
+def test_clock_that_is_off_is_told_by_the_camera_itself(desk: Desk) -> None:
+    waits = threading.Event()
+    desk.bus.serve("lab/clock", lambda _: json.dumps({"now_ns": time.time_ns() - 10**9}).encode())
+    node = desk.start(script=iter(lambda: waits.wait() and (1, EMPTY), None))
+    assert eventually(lambda: "clock is 1.0" in node.health.last_error)
+    assert "s ahead of fusion's, where 0.006 s are borne: what camera c1 sees" in (
+        node.health.last_error
+    )
+    waits.set()
 
 
 def test_picture_that_takes_longer_than_a_period_is_given_up_and_counted(desk: Desk) -> None:
