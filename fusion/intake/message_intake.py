@@ -85,6 +85,7 @@ class Intake:
                 "wrong_size",
                 f"camera {camera} sends pictures of {message.width} × {message.height}, but its "
                 f"intrinsics are for {lens.width} × {lens.height}; give it the right intrinsics",
+                of=camera,
             )
             return False
         if not message.faces or self._is_repeated(camera, message.stamp_ns):
@@ -94,6 +95,7 @@ class Intake:
                 "too_many_faces",
                 f"camera {camera} sees {len(message.faces)} faces in one picture, but all targets "
                 f"of the site have {self._most_faces}; it is left out, see who sends that",
+                of=camera,
             )
             return False
         views, is_new = self._views(camera, message)
@@ -136,6 +138,7 @@ class Intake:
                     "unknown_target",
                     f"camera {camera} sees a target «{face.target}» that "
                     f"{len(robots) or 'no'} robots carry; give each robot its own target",
+                    of=camera,
                 )
                 continue
             view = view_of(self._targets[robots[0]], face, eye)
@@ -144,6 +147,7 @@ class Intake:
                     "unknown_face",
                     f"camera {camera} sees a face {face.face} that the target "
                     f"«{self._targets[robots[0]].name}» does not have; use one target file",
+                    of=camera,
                 )
                 continue
             views.setdefault(robots[0], []).append(view)
@@ -206,7 +210,8 @@ class Intake:
         queue = self._waiting[robot]
         if len(queue) >= _MOST_WAITING and not has_odometry:
             heapq.heappop(queue)
-            self.left_out.add("without_odometry", f"no odometry of {robot}; check its bridge")
+            text = f"no odometry of {robot}; check its bridge"
+            self.left_out.add("without_odometry", text, of=robot)
         self._order += 1
         latest_ns = observation.stamp_ns + self._ahead_ns[observation.camera]
         heapq.heappush(queue, _Waiting(latest_ns, self._order, observation))
@@ -260,6 +265,7 @@ class Intake:
                 "far_ahead",
                 f"camera {camera} is {(ahead[0].latest_ns - last_ns) / 1e9:.0f} s ahead of the "
                 f"odometry of {robot}; synchronise its clock, or check that odometry comes",
+                of=camera,
                 count=len(ahead),
             )
             gone = {waiting.order for waiting in ahead}
