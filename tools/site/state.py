@@ -1,9 +1,10 @@
 """Summarises what a site's nodes report about themselves."""
 
 import textwrap
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from trigpoint.base.words import loss_words, numberless
 from trigpoint.contract.messages import DiagnosticStatus
@@ -22,6 +23,7 @@ _NO_GAUGES = frozenset({
     "last_error",
     MET,
 })  # fmt: skip
+_NAMED = {"edge": "camera", "robot": "robot"}
 _FACES = "faces"
 STATES = ("ok", "warning", "error", "stale")
 
@@ -76,15 +78,19 @@ def summarise(
     tokens: Iterable[str],
     statuses: Iterable[DiagnosticStatus],
     wanted: Iterable[str] = (),
+    known: Iterable[str] | None = None,
     expect: Iterable[str] | None = None,
     time: str = "",
 ) -> SiteStatus:
     """Combine liveliness tokens with the nodes' latest diagnostics; `wanted`: the nodes named in
-    the site file; `expect`: the kinds of node needed beside them, by default those that another
-    node has heard since it started."""
+    the site file; `known`: all agents and bridges that it may have, None: any; `expect`: the kinds
+    of node needed beside them, by default those that another node has heard since it started."""
     alive = {token.partition("/alive/")[2] for token in tokens}
     latest = {(status.name, status.values.get("node", "")): status for status in statuses}
     nodes = [_node(status, status.name in alive) for status in latest.values()]
+    if known is not None:
+        kept = frozenset(known)
+        nodes = [_checked(node, kept) for node in nodes]
     spoken = {name for name, _ in latest}
     nodes += [NodeStatus(name, "silent", "alive, but says nothing") for name in alive - spoken]
     missing = set(wanted) - alive - spoken
@@ -94,6 +100,20 @@ def summarise(
     nodes += _absent(expect, {name.partition("/")[0] for name in alive | spoken}, latest.values())
     nodes.sort(key=lambda node: node.name)
     return SiteStatus(site, peers, nodes, _versions(nodes), time)
+
+
+def _checked(node: NodeStatus, known: Collection[str]) -> NodeStatus:
+    """The node, with a warning where it is a camera's or robot's that the site file does not
+    have."""
+    kind, _, name = node.name.partition("/")
+    if kind not in _NAMED or node.name in known or node.state == "gone":
+        return node
+    text = (
+        f"the site file has no {_NAMED[kind]} «{name}», so others may leave it out; add it there "
+        "and start them again, or stop this one"
+    )
+    said = text if node.message == "running" else f"{text}; {node.message}"
+    return replace(node, state="warning" if node.state == "ok" else node.state, message=said)
 
 
 def _absent(
