@@ -105,6 +105,7 @@ def look(
         wanted=wanted,
         known=known,
         expect=expect,
+        unreached=bus.unreached,
         time=datetime.now().astimezone().isoformat(timespec="milliseconds"),
     )
 

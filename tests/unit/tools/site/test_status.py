@@ -63,6 +63,20 @@ def test_agent_of_a_camera_that_the_site_file_does_not_have_is_named() -> None:
     assert robot.message.endswith("; no port")
 
 
+def test_where_nobody_answers_nobody_is_said_to_be_missing() -> None:
+    site = summarise(
+        "lab",
+        peers=0,
+        tokens=[],
+        statuses=[],
+        wanted=["edge/c1"],
+        expect=["fusion"],
+        unreached=("tcp/127.0.0.1:7447",),
+    )
+    assert (site.nodes, site.is_well) == ([], False)
+    assert "nobody is heard: nobody answers at tcp/127.0.0.1:7447 (bus.connect)" in table(site)
+
+
 def test_rates_of_keys_are_added_up_for_people() -> None:
     values = {f"sent lab/camera/c{i}/pose.rate": "1.5" for i in (1, 2)} | {"pictures.rate": "5.0"}
     status = DiagnosticStatus(0, "fusion/fusion", "running", "", values)
