@@ -1,5 +1,6 @@
 """Recording on a thread of its own: what is kept, what is lost, what is said."""
 
+import shutil
 import subprocess
 import sys
 import threading
@@ -241,6 +242,20 @@ def test_the_oldest_finished_session_makes_room_never_the_running_one(tmp_path: 
         "lab_20260103T000000Z/session.mcap",
     ]
     assert Room(tmp_path, 0.0, frees_oldest=True, prefix="lab").problem(running) == ""
+
+
+def test_a_file_that_is_being_written_is_not_said_to_be_broken_off(tmp_path: Path) -> None:
+    path = tmp_path / "s.mcap"
+    with McapSink(path, clock=SystemClock()) as sink:
+        assert put(sink, 1)
+        assert eventually(lambda: messages_in(path) == 1)
+        shutil.copy(path, tmp_path / "killed.mcap")
+        assert open_recording(path).problem == "it is still being written"
+        assert "there is no footer: it is still being written" in check(path).errors
+    assert (open_recording(path).problem, check(path).errors) == ("", [])
+    killed = tmp_path / "killed.mcap"
+    assert open_recording(killed).problem.startswith("it breaks off at byte ")
+    assert "there is no footer: the recording was broken off" in check(killed).errors
 
 
 @pytest.mark.skipif(not Path("/dev/shm").is_dir(), reason="there is no second disk here")
