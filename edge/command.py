@@ -50,11 +50,12 @@ def main(
         ]
         stop_on_signals(nodes)
         stack.enter_context(metrics_served(loaded, metrics, nodes))
-        for node, agent in zip(nodes, agents, strict=True):
-            stack.enter_context(node)
+        lives = [stack.enter_context(ExitStack()) for _ in nodes]
+        for node, agent, life in zip(nodes, agents, lives, strict=True):
+            life.enter_context(node)
             agent.start()
         stack.callback(lambda: [node.stop() for node in nodes])
-        _wait_for_all(nodes)
+        _wait_for_all(nodes, lives)
 
 
 def _buses(site: Site, names: list[str], stack: ExitStack) -> dict[str, Bus]:
@@ -65,11 +66,13 @@ def _buses(site: Site, names: list[str], stack: ExitStack) -> dict[str, Bus]:
     return dict.fromkeys(names, bus)
 
 
-def _wait_for_all(nodes: list[Node]) -> None:
-    """Return when every node has ended; raise what ended one of them."""
-    running = list(nodes)
-    while running:
-        for node in list(running):
-            if node.stopping.wait(_LOOK_S / len(running)):
+def _wait_for_all(nodes: list[Node], lives: list[ExitStack]) -> None:
+    """Return when every node has ended, each of which is gone once its source is over; raise what
+    ended one of them. `nodes` keeps those that run."""
+    while nodes:
+        for node, life in list(zip(nodes, lives, strict=True)):
+            if node.stopping.wait(_LOOK_S / len(nodes)):
                 node.wait()
-                running.remove(node)
+                life.close()
+                nodes.remove(node)
+                lives.remove(life)

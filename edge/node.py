@@ -15,6 +15,7 @@ from trigpoint.contract.messages import CameraInfo, FaceSighting, Sightings
 from trigpoint.contract.nudge import NUDGED, NUDGES, Nudge
 from trigpoint.contract.topics import CAMERA_INFO, IMAGE, SIGHTINGS, Topic, command_key
 from trigpoint.geometry import CameraModel
+from trigpoint.node.clock_watch import ClockWatch
 from trigpoint.node.node import Node
 from trigpoint.site.config import Site
 from trigpoint.site.target import Target, load_target
@@ -24,7 +25,7 @@ from .image.picture import depth_words, eight_bits
 from .lens.calibration_service import CalibrationService
 from .lens.intrinsics import calibrated_lens, check_size, known_lens
 from .picture_sender import PictureSender
-from .sources.frames import Frame, FrameSource, open_source
+from .sources.frames import Frame, FrameSource, Unreadable, open_source
 from .target_watch import TargetWatch
 from .tracker import TargetTracker
 
@@ -35,6 +36,7 @@ _FIRST_PAUSE_S = 1.0
 _LONGEST_PAUSE_S = 30.0
 _SOUND_S = 10.0
 """After a source has run for this long, retries start with the shortest pause again."""
+_UNREADABLE_S = 2.0
 _PATIENCE_S = 20.0
 """How long the camera's thread may take for a picture, or to open, before it counts as hung."""
 _PATIENT_PERIODS = 5.0
@@ -91,6 +93,15 @@ class EdgeNode:
         self._node.health.gauge("calibration_views", lambda: self._calibration.kept)
         self._pulse = self._node.watchdog.pulse(f"{self._node.label} sees", within_s=_PATIENCE_S)
         self._node.thread("sees", self._run)
+        watch = ClockWatch(
+            self._bus,
+            self._node,
+            self._site,
+            self._clock.now_ns,
+            self._site.bearable_clock_offset_s(self._camera),
+            f"what camera {self._camera} sees is taken for earlier or later",
+        )
+        self._node.work("clock", watch.run)
 
     def _picture_age_s(self) -> float:
         """How long no new picture has come, or since the start."""
@@ -157,18 +168,27 @@ class EdgeNode:
                 self._pulse.beat(_PATIENCE_S + _PATIENT_PERIODS / config.rate)
                 if frame is None:
                     self._say("waiting")
-                    continue
-                self._handle(frame, source)
+                elif isinstance(frame, Unreadable):
+                    self._miss(frame.reason)
+                else:
+                    self._handle(frame, source)
                 self._node.health.lose("pictures", source.skipped - skipped)
                 skipped = source.skipped
         finally:
             source.close()
 
+    def _miss(self, reason: str) -> None:
+        """Count a picture that cannot be read; where none has been for long, that is an error."""
+        self._node.health.lose("unreadable")
+        if (age_s := self._picture_age_s()) > _UNREADABLE_S:
+            self._say("unreadable")
+            text = f"camera {self._camera}: no picture that can be read for {age_s:.0f} s; {reason}"
+            self._node.health.hold("source", text)
+
     def _handle(self, frame: Frame, source: FrameSource) -> None:
         health = self._node.health
         health.count("pictures")
         health.count("passed_over", frame.passed_over)
-        health.lose("unreadable", frame.unreadable)
         health.describe("stamps", frame.stamp.value)
         if frame.is_frozen:
             health.lose("frozen")

@@ -6,6 +6,8 @@ Pure: no bus, no clock.
 from collections import Counter
 from collections.abc import Iterator
 
+from msgspec import Struct
+
 from trigpoint.base.clock import to_ns, to_seconds
 from trigpoint.contract import topics
 from trigpoint.node.health import Health
@@ -21,6 +23,17 @@ _LEAST_SEEN = 8
 """So many pictures before odometry begins are nothing unusual: a camera may be there first."""
 _TOLD_NS = to_ns(5.0)
 """For how long a problem is reported after the last message that was left out for it."""
+_BACKLOG = "late "
+"""The problem that what waited for odometry, for a link or for this program's start has too: it is
+told only where it lasts, since then nothing comes in time."""
+
+
+class _Told(Struct):
+    """A problem's count when it was looked at, and since when, and until when, it grew."""
+
+    count: int
+    since_ns: int
+    grown_ns: int
 
 
 class Diagnostics:
@@ -29,7 +42,7 @@ class Diagnostics:
     def __init__(self, site: Site, admission: Admission) -> None:
         self._site, self._admission = site, admission
         self._reported: Counter[str] = Counter()
-        self._grown_ns: dict[str, int] = {}
+        self._told: dict[str, _Told] = {}
         self._stale_since_ns: dict[str, int] = {}
         self._heard_ns: dict[str, int] = {}
         self._seen: dict[str, tuple[Span, int]] = {}
@@ -43,13 +56,14 @@ class Diagnostics:
         """Note that the pipeline is a new one, whose counts start at zero."""
         self._reported.clear()
         self._reported.update(self._admission.counts)
+        self._told.clear()
         self._stale_since_ns.clear()
         self._seen.clear()
 
     def report(self, pipeline: Pipeline, health: Health, now_ns: int, *, checkpoint: str) -> None:
         """Put what was left out, and what is wrong or went wrong, into a node's health;
         `checkpoint`: why the map is not stored, "" where it is."""
-        for reason, more in self.left_out(pipeline, now_ns):
+        for reason, more in self.left_out(pipeline):
             health.count(f"left_out.{reason}", more)
         troubles = self.now(pipeline, now_ns)
         if checkpoint:
@@ -58,29 +72,42 @@ class Diagnostics:
         problem = pipeline.last_problem
         if problem != self._problem:
             self._problem = problem
-            if problem and problem not in troubles.values():
+            if problem and all(problem != known.text for known in pipeline.problems.values()):
                 health.fail(problem)
 
-    def left_out(self, pipeline: Pipeline, now_ns: int) -> Iterator[tuple[str, int]]:
+    def left_out(self, pipeline: Pipeline) -> Iterator[tuple[str, int]]:
         """(reason, how many more were left out since the last call)."""
         for reason, count in (Counter(pipeline.left_out) + self._admission.counts).items():
             more = count - self._reported[reason]
             if more > 0:  # what is cleared up later was left out all the same
                 self._reported[reason] = count
-                self._grown_ns[reason] = now_ns
                 yield reason, more
 
     def now(self, pipeline: Pipeline, now_ns: int) -> dict[str, str]:
         """Name -> what is wrong now."""
         found = dict(self._admission.troubles(now_ns))
-        for reason, text in pipeline.problems.items():
-            grown_ns = self._grown_ns.get(reason)
-            if grown_ns is not None and now_ns - grown_ns < _TOLD_NS:
-                found[reason] = text
+        for name, problem in (self._admission.problems | pipeline.problems).items():
+            if self._is_now(name, problem.count, now_ns):
+                found[name] = problem.text
+        if pipeline.doubted:
+            found["clocks"] = (
+                f"no corrections by {', '.join(sorted(pipeline.doubted))}: a clock was set and is "
+                "not followed yet"
+            )
         found |= {f"nudged {camera}": text for camera, text in pipeline.nudges.open.items()}
         for part in (self._stale, self._silent, self._apart):
             found |= dict(part(pipeline, now_ns))
         return found
+
+    def _is_now(self, name: str, count: int, now_ns: int) -> bool:
+        """Whether a problem was there again in the last seconds, and is more than a backlog."""
+        told = self._told.setdefault(name, _Told(0, now_ns, now_ns - _TOLD_NS))
+        if count != told.count:
+            if now_ns - told.grown_ns >= _TOLD_NS:
+                told.since_ns = now_ns
+            told.count, told.grown_ns = count, now_ns
+        is_lasting = told.grown_ns - told.since_ns >= _STALE_NS
+        return now_ns - told.grown_ns < _TOLD_NS and (is_lasting or not name.startswith(_BACKLOG))
 
     def _apart(self, pipeline: Pipeline, now_ns: int) -> Iterator[tuple[str, str]]:
         """Cameras that see targets now, but never at a time from which there is odometry."""

@@ -184,7 +184,7 @@ class FusionNode:
         """Take in and use what has come; the messages to send."""
         self._take_in()
         began_ns = self._clock.elapsed_ns()
-        self._pipeline.doubt(self._doubted())
+        self._pipeline.doubted = self._doubted()
         outputs = self._pipeline.advance(self._clock.now_ns(), most=_MOST_USED)
         took_s = to_seconds(self._clock.elapsed_ns() - began_ns)
         self._longest_s = max(self._longest_s, took_s)

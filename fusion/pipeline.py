@@ -18,6 +18,7 @@ from .estimators.residuals import CameraResiduals
 from .estimators.results import Results, map_id_of
 from .fixed.network import FixedNetwork
 from .intake.arrivals import Arrivals
+from .intake.left_out import Problem
 from .intake.message_intake import Intake
 from .intake.nudges import Nudges
 from .live.follower import Follower
@@ -67,7 +68,8 @@ class Pipeline:
         self._robots = RobotAnnouncements(inputs.site.fusion.correction_rate)
         self._early: list[tuple[str, Sightings]] = []
         self._stale_ns: dict[str, int] = {}
-        self._doubted: frozenset[str] = frozenset()
+        # These cameras and robots make no corrections: their clocks were set, and are not followed.
+        self.doubted: frozenset[str] = frozenset()
         self.nudges = Nudges(data, is_fixed=fixed is not None)
 
     @property
@@ -92,8 +94,8 @@ class Pipeline:
         return self._left_out.last_problem
 
     @property
-    def problems(self) -> dict[str, str]:
-        """Reason of `left_out` -> the last such problem, as text, where it is known."""
+    def problems(self) -> dict[str, Problem]:
+        """Reason of `left_out`, and of whom -> the last such problem, where it is known."""
         return self._left_out.problems
 
     @property
@@ -101,7 +103,8 @@ class Pipeline:
         """What a user should know of the session, as text: each event (at most the last hundred),
         the last problem with messages for each reason, what they lacked, and what is in doubt."""
         events = [event.text for event in self._left_out.events]
-        return [*events, *self.problems.values(), *self.arrivals.notes]
+        problems = [problem.text for problem in self.problems.values()]
+        return [*events, *problems, *self.arrivals.notes]
 
     @property
     def stale_ns(self) -> dict[str, int]:
@@ -118,11 +121,6 @@ class Pipeline:
         """Whether more is ready than the last `advance` was allowed to use."""
         tracks = self._data.tracks.items()
         return any(len(track) and self._intake.has_ready(n, track.last_ns) for n, track in tracks)
-
-    def doubt(self, nodes: frozenset[str]) -> None:
-        """Make no corrections of these cameras and robots until told otherwise: their clocks were
-        set and are not followed yet."""
-        self._doubted = nodes
 
     @property
     def waiting(self) -> int:
@@ -200,12 +198,14 @@ class Pipeline:
                     "changed_intrinsics",
                     f"camera {camera} announces other intrinsics than this map began with, which "
                     "are not taken over; start a new map with fusion/reset",
+                    of=camera,
                 )
             return False
         try:
             message.camera.check()
         except ValueError as reason:
-            self._left_out.add("impossible_intrinsics", f"camera {camera}: {reason}")
+            text = f"camera {camera}: {reason}"
+            self._left_out.add("impossible_intrinsics", text, of=camera)
             return False
         self._data.lenses[camera] = message.camera
         early, self._early = self._early, []
@@ -305,6 +305,7 @@ class Pipeline:
                 "late",
                 f"sightings of {observation.camera} come over {self.site.fusion.late:g} s late and "
                 "make no corrections; synchronise the clocks, or see what is slow",
+                of=observation.camera,
             )
         # Its camera's time offset is left out here; whatever uses the observation accounts for it.
         observation = self._data.moving(observation, observation.stamp_ns)
@@ -324,7 +325,7 @@ class Pipeline:
             self._take_cameras(observation.stamp_ns, is_urgent=True)
 
     def _correct(self, observation: Observation, estimate: RobotEstimate) -> None:
-        if self._doubted & {observation.robot, observation.camera}:
+        if self.doubted & {observation.robot, observation.camera}:
             self._left_out.add("clock_in_doubt")
         elif (map_id := self.map_id) is not None:
             self._outputs += self._robots.correction(map_id, observation, estimate)

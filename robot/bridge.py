@@ -118,7 +118,7 @@ class Bridge:
         self._gate = SafetyGate(config)
         self._connected: Connected | None = None
         self._number = number
-        self._refused_for = self._complaint = ""
+        self._refused_for = self._refusal = self._complaint = ""
         self._vitals = Vitals(0, 0)
 
     @property
@@ -150,6 +150,11 @@ class Bridge:
     def complaint(self) -> str:
         """What was wrong with what came since the last good reading; "" if nothing was."""
         return self._complaint
+
+    @property
+    def refusal(self) -> str:
+        """Why the last correction was not handed on, "" where it was, or waits for others."""
+        return self._refusal
 
     @property
     def vitals(self) -> Vitals:
@@ -343,6 +348,7 @@ class Bridge:
         if refused.reason is Refusal.WAITING:
             # This is the normal state before the robot is placed; nothing is lost.
             self._health.count("corrections_waiting")
+            self._refusal = ""
             return
         if refused.reason in _SERIOUS:
             self._health.fail(f"a correction for robot {self._robot} was refused: {refused.text}")
@@ -350,13 +356,14 @@ class Bridge:
 
     def _refuse(self, reason: str, text: str) -> None:
         self._health.lose(f"corrections_refused_{reason}")
+        self._refusal = text
         if reason != self._refused_for:  # the first of a run is logged, all are counted
             self._refused_for = reason
             _log.warning("a correction for robot %s was refused: %s", self._robot, text)
 
     def _hand_on(self, mark: CorrectionMark, approved: Approved) -> RobotCorrection:
         self._number = (self._number + 1) % _NUMBERS
-        self._refused_for = ""
+        self._refused_for = self._refusal = ""
         if approved.establishes:
             self._resets += 1
             self._health.count("frames_established")

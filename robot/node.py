@@ -8,12 +8,12 @@ from trigpoint.base.clock import Clock, to_seconds
 from trigpoint.base.errors import ConfigError, read_text
 from trigpoint.bus.bus import Bus, Publisher
 from trigpoint.contract.cdr import encode, warm_up
-from trigpoint.contract.topics import ODOMETRY
+from trigpoint.contract.topics import CORRECTION, ODOMETRY
+from trigpoint.node.clock_watch import ClockWatch
 from trigpoint.node.node import Node
 from trigpoint.site.config import Site
 
 from .bridge import Bridge, first_number
-from .clock_watch import ClockWatch
 from .corrections import Corrections, subscribed
 from .line.line import Line
 from .line.port import PortOpener, is_device, lasting_name
@@ -53,13 +53,16 @@ class RobotNode:
         self._odometry_watch = OdometryWatch(
             robot, config.protocol_name, self._line, self._bridge, node.health
         )
-        self._correction_watch = CorrectionWatch(robot, self._bridge, node)
+        self._correction_watch = CorrectionWatch(
+            robot, self._bridge, node, CORRECTION.key(site.name, robot)
+        )
         self._clock_watch = ClockWatch(
             bus,
             node,
             site,
             lambda: self._bridge.unix_ns(self._clock.elapsed_ns()),
             config.odometry.bearable_clock_offset_s,
+            "corrections are held",
         )
         self._corrections = Corrections(
             site,

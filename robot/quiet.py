@@ -6,7 +6,8 @@ import math
 from typing import Protocol
 
 from trigpoint.base.clock import to_ns, to_seconds
-from trigpoint.base.words import plus_minus
+from trigpoint.base.words import numberless, plus_minus
+from trigpoint.node.clock_watch import CLOCK_IS_OFF
 from trigpoint.node.health import Health
 
 from .bridge import Bridge
@@ -16,6 +17,7 @@ _log = logging.getLogger(__name__)
 _PATIENCE_NS = to_ns(5.0)
 # Longer than a robot takes from one camera to the next in a building where they are worth hanging.
 _UNCORRECTED_NS = to_ns(10.0)
+_AWAY = "fusion is not running any more"
 # Fusion's diagnostics come once a second.
 _FUSION_AWAY_S = 5.0
 
@@ -51,6 +53,8 @@ class Listening(Protocol):
 
     def silent_s(self, server: str) -> float | None: ...
 
+    def trouble_of(self, server: str) -> str: ...
+
 
 class OdometryWatch:
     """Says now and then in the health that an open port brings no odometry. One thread."""
@@ -74,41 +78,69 @@ class OdometryWatch:
 
 
 class CorrectionWatch:
-    """Puts into a bridge's health where the robot is, and that no corrections come. One thread."""
+    """Puts into a bridge's health where the robot is, and that it is not corrected: `key` brings
+    no corrections, or none that are taken. One thread."""
 
-    def __init__(self, robot: str, bridge: Bridge, node: Listening) -> None:
-        self._robot, self._bridge, self._node = robot, bridge, node
-        self._corrections, self._since_ns = 0, 0
-        self._is_told = False
+    def __init__(self, robot: str, bridge: Bridge, node: Listening, key: str) -> None:
+        self._robot, self._bridge, self._node, self._key = robot, bridge, node, key
+        self._taken = self._received = 0
+        self._taken_ns = self._received_ns = 0
+        self._told = ""
 
     def look(self, now_ns: int) -> None:
         """Call it once a second."""
-        corrections = self._node.health.total("corrections")
-        if corrections != self._corrections or not self._since_ns:
-            self._corrections, self._since_ns = corrections, now_ns
-        self._tell(now_ns - self._since_ns)
-        self._show_place(now_ns - self._since_ns)
+        health = self._node.health
+        taken, received = (
+            health.total("corrections_accepted"),
+            health.total(f"received {self._key}"),
+        )
+        if taken != self._taken or not self._taken_ns:
+            self._taken, self._taken_ns = taken, now_ns
+        if received != self._received or not self._received_ns:
+            self._received, self._received_ns = received, now_ns
+        self._tell(now_ns - self._taken_ns, now_ns - self._received_ns)
+        self._show_place(now_ns - self._taken_ns)
 
-    def _tell(self, age_ns: int) -> None:
+    def _tell(self, age_ns: int, received_age_ns: int) -> None:
         health = self._node.health
         if age_ns < _UNCORRECTED_NS:
-            self._is_told = False
+            self._told = ""
             health.release("corrections")
             health.describe("uncorrected", "")
             return
         away_s = self._node.silent_s("fusion")
-        told = f"no corrections for {to_seconds(age_ns):.0f} s: "
-        alone = f"robot {self._robot} goes on by its own odometry alone, whose error grows"
-        if away_s is not None and away_s > _FUSION_AWAY_S:
+        if self._received and received_age_ns < _UNCORRECTED_NS:
+            why = self._why_not_taken()
+        else:
+            why = self._why_none_comes(away_s)
+        text = (
+            f"no corrections for {to_seconds(age_ns):.0f} s: {why}; robot {self._robot} goes on by "
+            "its own odometry alone, whose error grows"
+        )
+        if why == _AWAY:
             health.describe("uncorrected", "")
-            health.hold("corrections", f"{told}fusion is not running any more; {alone}")
+            health.hold("corrections", text)
             return
         health.release("corrections")
-        why = "no located camera sees it" if away_s is not None else "fusion was never heard"
-        health.describe("uncorrected", f"{told}{why}; {alone}")
-        if not self._is_told:
-            self._is_told = True
-            _log.info("%s%s; %s", told, why, alone)
+        health.describe("uncorrected", text)
+        if numberless(why) != self._told:
+            self._told = numberless(why)
+            _log.info("%s", text)
+
+    def _why_not_taken(self) -> str:
+        return (
+            self._node.health.held.get(CLOCK_IS_OFF)
+            or self._bridge.refusal
+            or f"those that come wait; its place is {self._bridge.state}"
+        )
+
+    def _why_none_comes(self, away_s: float | None) -> str:
+        if away_s is None:
+            return "fusion was never heard"
+        if away_s > _FUSION_AWAY_S:
+            return _AWAY
+        trouble = self._node.trouble_of("fusion")
+        return f"fusion says: {trouble}" if trouble else "no located camera sees it"
 
     def _show_place(self, age_ns: int) -> None:
         place = self._bridge.place()

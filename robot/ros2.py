@@ -14,7 +14,7 @@ from trigpoint.base.errors import MessageError
 from trigpoint.bus.bus import Bus, Publisher, Sample, Subscription
 from trigpoint.contract.cdr import decode, encode, warm_up
 from trigpoint.contract.messages import Odometry
-from trigpoint.contract.topics import ODOMETRY, Delivery, Topic
+from trigpoint.contract.topics import CORRECTION, ODOMETRY, Delivery, Topic
 from trigpoint.geometry import Pose
 from trigpoint.node.health import Health, mended_count
 from trigpoint.node.node import Node
@@ -62,7 +62,9 @@ class RosRobotNode:
         offset = measured_offset(self._clock)
         self._bridge = Bridge(robot, config, node.health, offset, TRAITS)
         self._corrections = Corrections(site, self._bridge, node.health, self._clock, self._hand_on)
-        self._correction_watch = CorrectionWatch(robot, self._bridge, node)
+        self._correction_watch = CorrectionWatch(
+            robot, self._bridge, node, CORRECTION.key(site.name, robot)
+        )
         self._publisher: Publisher | None = None
         self._places: Places | None = None
 

@@ -48,9 +48,8 @@ class Frame(Struct, frozen=True):
     machine's clock.
 
     `passed_over`: how many pictures before it were left out, since they came faster than the
-    camera's rate in the site file, or were the same again; `unreadable`: how many could not be
-    read. `is_frozen`: the camera has given this very picture for so long that it says nothing of
-    its time.
+    camera's rate in the site file, or were the same again. `is_frozen`: the camera has given this
+    very picture for so long that it says nothing of its time.
     """
 
     picture: np.ndarray
@@ -58,7 +57,12 @@ class Frame(Struct, frozen=True):
     stamp: Stamp = Stamp.SOURCE
     passed_over: int = 0
     is_frozen: bool = False
-    unreadable: int = 0
+
+
+class Unreadable(Struct, frozen=True):
+    """A picture that came and cannot be read, and why."""
+
+    reason: str
 
 
 class FrameSource(Protocol):
@@ -73,7 +77,7 @@ class FrameSource(Protocol):
         """The lens, where the source itself knows it."""
         ...
 
-    def frames(self, stopping: threading.Event) -> Iterator[Frame | None]:
+    def frames(self, stopping: threading.Event) -> Iterator[Frame | Unreadable | None]:
         """Pictures in order of time; a slow consumer skips to the newest.
 
         None, now and then, where it is right that none comes for long. Ends at the end of a file

@@ -14,7 +14,7 @@ from trigpoint.base.errors import InputError
 from trigpoint.geometry import CameraModel
 from trigpoint.site.config import CameraConfig
 
-from .frames import Frame, place_and_options
+from .frames import Frame, Unreadable, place_and_options
 from .picture_files import (
     PICTURE_SUFFIXES,
     check_orientations,
@@ -50,6 +50,7 @@ class DirectoryFrames:
             check_orientations(self._files)
         self._period_ns = to_ns(1 / camera.rate)
         self._first: Path | None = None
+        self._spoilt: set[Path] = set()
         self._changed: dict[Path, tuple[tuple[int, int], int]] = {}
 
     @property
@@ -62,14 +63,14 @@ class DirectoryFrames:
         """None is."""
         return 0
 
-    def frames(self, stopping: threading.Event) -> Iterator[Frame | None]:
-        """Pictures until the folder's end; one that cannot be read is left out, which the log says.
+    def frames(self, stopping: threading.Event) -> Iterator[Frame | Unreadable | None]:
+        """Pictures until the folder's end; of those that cannot be read the log names each once.
 
         None while a folder that is followed has no new one. Raises InputError where none can be
         read.
         """
         due_ns = self._clock.elapsed_ns()
-        unreadable, trouble = 0, None
+        trouble = None
         for file in self._followed(stopping) if self._follows else self._played():
             if file is None:
                 yield None
@@ -77,16 +78,20 @@ class DirectoryFrames:
             wait_ns = due_ns - self._clock.elapsed_ns()
             if self._clock.wait(stopping, max(0.0, to_seconds(wait_ns))):
                 return
+            due_ns = max(due_ns + self._period_ns, self._clock.elapsed_ns())
             try:
                 picture = read_picture(file)
             except InputError as reason:
-                _log.warning("%s; it is left out", reason)
-                unreadable, trouble = unreadable + 1, reason
+                if file not in self._spoilt:
+                    _log.warning("%s; it is left out", reason)
+                self._spoilt.add(file)
+                trouble = reason
+                yield Unreadable(str(reason))
                 continue
-            yield Frame(picture, self._clock.now_ns(), unreadable=unreadable)
-            unreadable, self._first = 0, self._first or file
-            due_ns = max(due_ns + self._period_ns, self._clock.elapsed_ns())
-        if trouble is not None and self._first is None:
+            self._first = self._first or file
+            yield Frame(picture, self._clock.now_ns())
+            due_ns = max(due_ns, self._clock.elapsed_ns())
+        if trouble is not None and self._first is None and not stopping.is_set():
             raise trouble
 
     def close(self) -> None:

@@ -15,7 +15,7 @@ from trigpoint.base.clock import Clock, to_ns
 from trigpoint.base.errors import FrameError, TrigpointError
 from trigpoint.geometry import CameraModel
 
-from .frames import Frame, Stamp
+from .frames import Frame, Stamp, Unreadable
 
 STALLED_S = 2.0
 """A camera without a new picture for so long is lost, whatever its driver says."""
@@ -28,7 +28,7 @@ _JITTER_NS = 500_000
 
 
 class Capture(Protocol):
-    """What is needed of cv2.VideoCapture."""
+    """What is needed of cv2.VideoCapture; an empty picture is one that cannot be read."""
 
     def read(self) -> tuple[bool, np.ndarray]: ...
 
@@ -58,7 +58,7 @@ class LiveFrames:
         self._changed = threading.Condition()
         self._newest: Frame | None = None
         self._lost: TrigpointError | None = None
-        self._skipped = self._passed_over = 0
+        self._skipped = self._passed_over = self._damaged = 0
         self._closing = threading.Event()
         self._alive_ns = clock.elapsed_ns() + to_ns(_OPENING_S)
         self._last: np.ndarray | None = None
@@ -81,15 +81,20 @@ class LiveFrames:
         """How many pictures a newer one replaced before they were taken."""
         return self._skipped
 
-    def frames(self, stopping: threading.Event) -> Iterator[Frame]:
+    def frames(self, stopping: threading.Event) -> Iterator[Frame | Unreadable]:
         """The newest picture each time; raises FrameError when the camera is lost or stalls."""
+        damaged = 0
         while not stopping.is_set():
             frame = self._take()
+            while damaged < self._damaged:
+                damaged += 1
+                yield Unreadable(f"{self._name}: a picture came damaged")
             if frame is not None:
                 yield frame
             elif self._clock.elapsed_ns() > self._alive_ns + self._stalled_ns:
                 waited_s = self._stalled_ns / 1e9
-                raise FrameError(f"{self._name}: no picture for {waited_s:.0f} s; check the camera")
+                kind = "whole picture" if damaged else "picture"
+                raise FrameError(f"{self._name}: no {kind} for {waited_s:.0f} s; check the camera")
 
     def close(self) -> None:
         """Stop reading. A read that hangs in the driver ends by its own time limit."""
@@ -123,6 +128,9 @@ class LiveFrames:
         is_read, picture = capture.read()
         if not is_read:
             raise FrameError(f"{self._name}: the camera was lost; check its cable or network")
+        if not picture.size:
+            self._damaged += 1
+            return
         captured_ns, stamp = self._stamp(capture, self._clock)
         self._alive_ns = max(self._alive_ns, self._clock.elapsed_ns())
         is_new, is_frozen = self._compare(picture)

@@ -72,9 +72,12 @@ class Stream:
         self.captured = (0, Stamp.ARRIVAL)
 
     def read(self) -> tuple[bool, np.ndarray]:
-        """The next picture that is of now; false where the stream is over."""
+        """The next picture that is of now, empty where it came damaged; false where the stream is
+        over."""
         try:
             for frame in self._frames:
+                if frame is None:
+                    return True, np.zeros((0, 0))
                 captured = self._captured(frame)
                 if captured is not None:
                     self.captured = captured
@@ -95,15 +98,18 @@ class Stream:
             _WAYS_NS[self._name] = self._times.way_ns
         self._container.close()
 
-    def _decoded(self) -> Iterator[av.VideoFrame]:
+    def _decoded(self) -> Iterator[av.VideoFrame | None]:
+        """Every picture; None: a part of it is missing."""
         for packet in self._container.demux(video=0):
             if packet.pts is not None:
                 self._note_arrival(packet.pts, _sender_ns(packet))
             try:
                 frames = packet.decode()
             except av.error.InvalidDataError:
-                continue  # a part of a picture is missing; the next whole one comes
-            yield from (f for f in frames if isinstance(f, av.VideoFrame) and not f.is_corrupt)
+                yield None
+                continue
+            pictures = (frame for frame in frames if isinstance(frame, av.VideoFrame))
+            yield from (None if picture.is_corrupt else picture for picture in pictures)
 
     def _note_arrival(self, pts: int, sender_ns: int | None) -> None:
         """A picture comes in one or more packets, and out some packets later."""

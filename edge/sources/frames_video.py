@@ -15,7 +15,7 @@ from trigpoint.base.errors import InputError
 from trigpoint.geometry import CameraModel
 from trigpoint.site.config import CameraConfig
 
-from .frames import Frame, local_path
+from .frames import Frame, Unreadable, local_path
 
 _log = logging.getLogger(__name__)
 
@@ -28,7 +28,8 @@ class VideoFrames:
 
     def __init__(self, url: str, _camera: CameraConfig, *, clock: Clock) -> None:
         """Raises InputError for a missing file or one that is no video."""
-        self._video = Video(local_path(url))
+        self._name = local_path(url)
+        self._video = Video(self._name)
         self._clock = clock
         self._skipped = 0
 
@@ -42,10 +43,10 @@ class VideoFrames:
         """How many pictures were over before the taker came."""
         return self._skipped
 
-    def frames(self, stopping: threading.Event) -> Iterator[Frame]:
+    def frames(self, stopping: threading.Event) -> Iterator[Frame | Unreadable]:
         """Pictures until the video's end, each at its own time."""
         start_ns, started_ns = self._clock.now_ns(), self._clock.elapsed_ns()
-        period_ns, unreadable = to_ns(1 / self._video.rate), 0
+        period_ns = to_ns(1 / self._video.rate)
         while (position_ns := self._video.advance()) is not None:
             early_ns = started_ns + position_ns - self._clock.elapsed_ns()
             if early_ns < -period_ns:
@@ -55,10 +56,9 @@ class VideoFrames:
                 return
             picture = self._video.picture()
             if picture is None:
-                unreadable += 1
-                continue
-            yield Frame(picture, start_ns + position_ns, unreadable=unreadable)
-            unreadable = 0
+                yield Unreadable(f"{self._name}: a picture of this video is damaged")
+            else:
+                yield Frame(picture, start_ns + position_ns)
 
     def close(self) -> None:
         self._video.close()

@@ -16,6 +16,8 @@ from trigpoint.contract import topics
 from trigpoint.contract.topics import Topic
 from trigpoint.site.config import Site
 
+from .left_out import Problem
+
 AHEAD_NS = to_ns(5.0)
 """The furthest a stamp may be ahead of its arrival: odometry from further ahead would make all that
 follows come too late. A clock that is put right costs no more than this."""
@@ -83,6 +85,7 @@ class Admission:
 
     def __init__(self, site: Site) -> None:
         self.counts = Counter(unknown_sender=0)
+        self._unknown = ""
         self._ahead: dict[str, tuple[int, str]] = {}
         self._shed: dict[str, int] = {}
         self._speakers: dict[str, _Speaker] = {}
@@ -104,7 +107,18 @@ class Admission:
         if key in self._budgets:
             return True
         self.counts["unknown_sender"] += 1
+        self._unknown = key
         return False
+
+    @property
+    def problems(self) -> dict[str, Problem]:
+        """Whom the site file does not have, and how often somebody such was heard."""
+        count = self.counts["unknown_sender"]
+        text = (
+            f"the site file does not have who sends {self._unknown}; add it there and start fusion "
+            "again, or correct its name"
+        )
+        return {"unknown_sender": Problem(text, count)} if count else {}
 
     def takes(self, sample: Sample, stamp_ns: int, at_ns: int, *, set_by_ns: int = 0) -> bool:
         """Whether a sound sample of a known key is to be used, by its stamp, its sender, and how

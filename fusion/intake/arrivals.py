@@ -18,8 +18,6 @@ from trigpoint.site.config import Site
 
 from .odometry_doubts import OdometryDoubts
 
-OFFSET_SIGMAS = 3.0
-"""A sighting may be later than its stamp by this many sigmas of its camera's time offset."""
 # No clock that was ever set shows a time before 1973: it counts from its own start.
 _NEVER_SET_NS = to_ns(1e8)
 
@@ -70,8 +68,7 @@ class Arrivals:
     def __init__(self, site: Site, tracks: Mapping[str, OdometryTrack]) -> None:
         self._tracks = tracks
         self._tolerance_ns = {
-            name: to_ns(OFFSET_SIGMAS * camera.time_offset_sigma)
-            for name, camera in site.cameras.items()
+            name: to_ns(camera.most_time_offset_s) for name, camera in site.cameras.items()
         }
         self._odometry = OdometryDoubts(site, tracks)
         self._mended = Counter[tuple[str, Mended]]()

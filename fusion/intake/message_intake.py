@@ -15,8 +15,8 @@ from trigpoint.fusion.estimators.interface import Live
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import Observation, View, observation_of, view_of
 from trigpoint.geometry import CameraModel
+from trigpoint.site.config import OFFSET_SIGMAS
 
-from .arrivals import OFFSET_SIGMAS
 from .left_out import LeftOut
 from .robot_identity import RobotIdentification
 from .standstills import Standstills
@@ -56,8 +56,7 @@ class Intake:
         self._most_faces = sum(len(target.faces) for target in targets.values())
         # By how much true time may be ahead of a camera's stamp.
         self._ahead_ns = {
-            name: to_ns(OFFSET_SIGMAS * camera.time_offset_sigma)
-            for name, camera in site.cameras.items()
+            name: to_ns(camera.most_time_offset_s) for name, camera in site.cameras.items()
         }
 
     def learn(self, camera: str, offset_s: float, sigma_s: float) -> None:
@@ -76,6 +75,7 @@ class Intake:
                 "wrong_size",
                 f"camera {camera} sends pictures of {message.width} × {message.height}, but its "
                 f"intrinsics are for {lens.width} × {lens.height}; give it the right intrinsics",
+                of=camera,
             )
             return False
         if not message.faces or self._is_repeated(camera, message.stamp_ns):
@@ -85,6 +85,7 @@ class Intake:
                 "too_many_faces",
                 f"camera {camera} sees {len(message.faces)} faces in one picture, but all targets "
                 f"of the site have {self._most_faces}; it is left out, see who sends that",
+                of=camera,
             )
             return False
         views, is_new = self._views(camera, message)
@@ -122,12 +123,14 @@ class Intake:
                     "unknown_target",
                     f"camera {camera} sees a target «{face.target}» that no robots carry; give "
                     "each robot its own target",
+                    of=camera,
                 )
             elif not possible:
                 self.left_out.add(
                     "unknown_face",
                     f"camera {camera} sees a face {face.face} that the target "
                     f"«{self._targets[robots[0]].name}» does not have; use one target file",
+                    of=camera,
                 )
             elif len(robots) > 1:
                 shared.append(possible)
@@ -191,7 +194,8 @@ class Intake:
         queue = self._waiting[robot]
         if len(queue) >= _MOST_WAITING and not has_odometry:
             heapq.heappop(queue)
-            self.left_out.add("without_odometry", f"no odometry of {robot}; check its bridge")
+            text = f"no odometry of {robot}; check its bridge"
+            self.left_out.add("without_odometry", text, of=robot)
         self._order += 1
         latest_ns = observation.stamp_ns + self._ahead_ns[observation.camera]
         heapq.heappush(queue, _Waiting(latest_ns, self._order, observation))
@@ -245,6 +249,7 @@ class Intake:
                 "far_ahead",
                 f"camera {camera} is {(ahead[0].latest_ns - last_ns) / 1e9:.0f} s ahead of the "
                 f"odometry of {robot}; synchronise its clock, or check that odometry comes",
+                of=camera,
                 count=len(ahead),
             )
             gone = {waiting.order for waiting in ahead}

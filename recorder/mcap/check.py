@@ -32,6 +32,7 @@ from trigpoint.base.words import counted
 from .file import ChunkSpan, fault_of, read_chunk, stream, take_attachment
 from .file import McapIndex as _Index
 from .index import LONGEST_MAGIC, refuse_others
+from .output import is_being_written
 from .packed import unpacked
 from .records import HEAD, MAGIC, MESSAGE, MESSAGE_FIELDS
 from .summary import summary_is_sound
@@ -93,7 +94,9 @@ class _Checker:
         is_ended = self._walk()
         self._close_chunk()
         if not is_ended:
-            self._error("there is no footer: the recording was broken off")
+            is_running = is_being_written(self._path)
+            why = "it is still being written" if is_running else "the recording was broken off"
+            self._error(f"there is no footer: {why}")
         elif not self._data.endswith(MAGIC):
             self._error("the file does not end with the format's magic bytes")
         elif not summary_is_sound(self._data):

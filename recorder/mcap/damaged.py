@@ -29,6 +29,7 @@ from .file import (
     take_channel,
     take_schema,
 )
+from .output import is_being_written
 from .records import CHUNK, HEAD, MAGIC, MESSAGE_FIELDS
 from .summary import summary_is_sound
 
@@ -43,14 +44,18 @@ def walk(path: Path, file: IO[bytes]) -> McapIndex:
     """Everything of the file that is sound."""
     index = McapIndex(path)
     with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        _walk(index, data)
+        end = _walk(index, data)
+    if end is not None:
+        is_running = is_being_written(index.path)
+        text = "it is still being written" if is_running else f"it breaks off at byte {end}"
+        index.problems.append(text)
     _look_into_all(index, file)
     _restore_channels(index)
     return index
 
 
-def _walk(index: McapIndex, data: mmap.mmap) -> None:
-    """Take every sound record."""
+def _walk(index: McapIndex, data: mmap.mmap) -> int | None:
+    """Take every sound record; where they break off, None where the file has an end."""
     position, size = len(MAGIC), len(data)
     while position + HEAD.size <= size:
         opcode, length = HEAD.unpack_from(data, position)
@@ -59,17 +64,16 @@ def _walk(index: McapIndex, data: mmap.mmap) -> None:
         if is_record and opcode == Opcode.FOOTER:
             if not summary_is_sound(data):
                 index.problems.append("its summary at the end is damaged")
-            return
+            return None
         if is_record and _take(index, data, opcode, start, length):
             position = start + length
             continue
         again = _next_sound(data, position + 1)
         if again is None:
-            index.problems.append(f"it breaks off at byte {position}")
-            return
+            return position
         index.problems.append(f"bytes {position} to {again - 1} are damaged")
         position = again
-    index.problems.append(f"it breaks off at byte {position}")
+    return position
 
 
 def _take(index: McapIndex, data: mmap.mmap, opcode: int, start: int, length: int) -> bool:

@@ -1,6 +1,8 @@
 """A file written without Python's buffering: written bytes are with the operating system."""
 
+import fcntl
 import os
+from contextlib import suppress
 from pathlib import Path
 
 from trigpoint.base.errors import OperationError
@@ -8,6 +10,16 @@ from trigpoint.base.errors import OperationError
 _MOST_PIECES = 1024  # IOV_MAX of Linux
 
 _HANDED_ON = 8 * 2**20  # some tens of milliseconds of disk time
+
+
+def is_being_written(path: Path) -> bool:
+    """Whether a recorder of this machine still writes a file."""
+    with path.open("rb") as file, suppress(OSError):  # a file system may have no locks
+        try:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+    return False
 
 
 class Output:
@@ -25,6 +37,8 @@ class Output:
             raise OperationError(
                 f"{path}: cannot be created ({reason.strerror}); give another folder with --out"
             ) from None
+        with suppress(OSError):
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self.position = self._handed_on = 0
 
     def write(self, *pieces: bytes) -> None:

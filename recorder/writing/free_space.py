@@ -12,10 +12,10 @@ from trigpoint.recorder.mcap.records import MAGIC
 
 
 class Room(Struct, frozen=True):
-    """`minimum_free`: bytes that stay free in `directory`, 0 where it does not matter; `prefix`:
-    how the folders of this site's sessions begin. `frees_oldest`: finished ones may be removed for
-    that; `budget`: bytes that all of them may take together, for which the oldest are removed in
-    any case; 0: any number."""
+    """`minimum_free`: bytes that stay free on the disk of the running session, 0 where it does not
+    matter; `directory`: where this site's sessions are, whose folders begin with `prefix`.
+    `frees_oldest`: finished ones may be removed for that; `budget`: bytes that all of them may take
+    together, for which the oldest are removed in any case; 0: any number."""
 
     directory: Path
     minimum_free: float
@@ -36,11 +36,11 @@ class Room(Struct, frozen=True):
             return f"{reason.filename}: cannot be removed ({reason.strerror}); remove it"
 
     def _too_full(self, running: Path) -> str:
-        while (free := free_bytes(self.directory)) < self.minimum_free:
+        while (free := free_bytes(running)) < self.minimum_free:
             oldest = self._oldest(running) if self.frees_oldest else None
-            if oldest is None:
+            if oldest is None or oldest.stat().st_dev != running.stat().st_dev:
                 return (
-                    f"{self.directory}: {free / 1e9:.2f} GB are free, {self.minimum_free / 1e9:.2f}"
+                    f"{running}: {free / 1e9:.2f} GB are free, {self.minimum_free / 1e9:.2f}"
                     " GB must stay (minimum_free under [recorder]); make room on the disk"
                 )
             _remove(oldest)

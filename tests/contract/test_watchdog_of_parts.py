@@ -134,7 +134,7 @@ def turns_are_short(monkeypatch: pytest.MonkeyPatch) -> None:
     for turn in (
         "fusion.live.coverage_thread.PERIOD_S",
         "recorder.node._NETWORK_PERIOD_S",
-        "robot.clock_watch._ASK_EVERY_S",
+        "node.clock_watch._ASK_EVERY_S",
         "robot.relocation._ASK_EVERY_S",
     ):
         monkeypatch.setattr(f"trigpoint.{turn}", TICK_S)

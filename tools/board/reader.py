@@ -24,11 +24,11 @@ from trigpoint.contract.messages import (
 from trigpoint.contract.topics import Topic, alive_key, node_of
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
-from trigpoint.node.health import Health
+from trigpoint.node.health import Health, Level
 from trigpoint.recorder.writing.intake import check_sender, sound_message
 from trigpoint.site.config import Site
 from trigpoint.tools.site.state import SiteStatus, summarise
-from trigpoint.tools.site.status import LISTEN_S, wanted_of
+from trigpoint.tools.site.status import LISTEN_S, known_of, wanted_of
 
 from .alarms import Alarms
 from .entities import Fields
@@ -44,6 +44,7 @@ NAME = "board"
 _LOOK_S = 1.0
 _HEARD_S = 3.5
 """Nodes send diagnostics once a second; three that are missing are a silence."""
+_UNHEARD = ("missing", "silent")
 _REPORTS = replace(topics.DIAGNOSTICS, queue=4096)
 _POSED = {topics.ROBOT_POSE: "robot", topics.CAMERA_POSE: "camera"}
 _MAP = "map"
@@ -84,6 +85,7 @@ class Reader:
         self._grid: GridPicture | None = None
         self._statuses: dict[str, tuple[float, int, DiagnosticStatus]] = {}
         self._tokens: list[str] = []
+        self._missing: list[str] = []
         self._started_s = self._apart_s = self._elapsed_s
         self._looked_s = 0.0
         self._own = self._own_status()
@@ -125,8 +127,10 @@ class Reader:
             asking.join()
 
     def heard(self) -> list[Diagnostics]:
-        """The newest diagnostics of every node, and the board's own. Any thread."""
-        own = Diagnostics(self._clock.now_ns(), (self._own,))
+        """The newest diagnostics of every node, and the board's own; whoever is missing is in
+        error. Any thread."""
+        missing = (DiagnosticStatus(int(Level.ERROR), name, "", "", {}) for name in self._missing)
+        own = Diagnostics(self._clock.now_ns(), (self._own, *missing))
         since_s = self._elapsed_s - _HEARD_S
         found = [(ns, status) for s, ns, status in list(self._statuses.values()) if s > since_s]
         return [own, *(Diagnostics(stamp_ns, (status,)) for stamp_ns, status in found)]
@@ -243,9 +247,9 @@ class Reader:
         if link:
             self._apart_s = now_s
         if now_s - self._apart_s > LISTEN_S:
-            shown |= self._alarms.look(
-                self._status(len(bus.peers)), to_seconds(self._clock.now_ns())
-            )
+            status = self._status(len(bus.peers))
+            self._missing = [node.name for node in status.nodes if node.state in _UNHEARD]
+            shown |= self._alarms.look(status, to_seconds(self._clock.now_ns()))
         return shown
 
     def _status(self, peers: int) -> SiteStatus:
@@ -257,6 +261,7 @@ class Reader:
             tokens=[*self._tokens, f"{self._site.name}/alive/{NAME}"],
             statuses=[*(one for _, _, one in self._statuses.values()), self._own],
             wanted=wanted_of(self._site),
+            known=known_of(self._site),
             expect=self._site.expect,
         )
 

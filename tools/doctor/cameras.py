@@ -80,7 +80,7 @@ def _glance(source: FrameSource, stopping: threading.Event, clock: SteadyClock) 
     frames: list[Frame] = []
     ages_s: list[float] = []
     for frame in source.frames(stopping):
-        if frame is None:
+        if not isinstance(frame, Frame):
             continue
         now_ns = clock.elapsed_ns()
         began_ns = began_ns or now_ns

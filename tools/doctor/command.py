@@ -166,7 +166,14 @@ def _no_lens(name: str) -> Check:
 
 
 def _check_port(site: Site, name: str) -> list[Check]:
-    port = site.robot(name).port
+    from trigpoint.robot.line.protocol import known_protocols
+
+    robot, known = site.robot(name), known_protocols()
+    if robot.protocol_name not in known:
+        text = f"there is no protocol «{robot.protocol_name}» on this machine"
+        remedy = f"write one of {', '.join(known)}, or install what has it"
+        return [Check(f"robot {name}", "error", text, remedy)]
+    port = robot.port
     if port is None or not port.startswith("/dev/"):
         return []
     return [_check_device(f"robot {name}", Path(port), "dialout")]

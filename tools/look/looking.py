@@ -14,7 +14,13 @@ from trigpoint.base.errors import InputError, OperationError
 from trigpoint.edge.image.picture import eight_bits
 from trigpoint.edge.lens.calibration import Calibration
 from trigpoint.edge.lens.intrinsics import check_size
-from trigpoint.edge.sources.frames import Frame, FrameSource, open_source, without_password
+from trigpoint.edge.sources.frames import (
+    Frame,
+    FrameSource,
+    Unreadable,
+    open_source,
+    without_password,
+)
 from trigpoint.edge.tracker import TargetTracker
 from trigpoint.geometry import CameraModel
 from trigpoint.site.config import CameraConfig
@@ -87,6 +93,7 @@ class Look:
         self._pictures = self._with_target = 0
         self._size = (0, 0)
         self._written: tuple[Path, ...] = ()
+        self._lack = "no picture came; see whether it is on"
         self._last: tuple[Shown, np.ndarray] | None = None
 
     @property
@@ -105,7 +112,9 @@ class Look:
         try:
             with self._opened() as source:
                 for frame in source.frames(self._stopping):
-                    if frame is not None:
+                    if isinstance(frame, Unreadable):
+                        self._lack = f"no picture came that can be read; {frame.reason}"
+                    elif frame is not None:
                         self._take(frame)
             return self._ended()
         finally:
@@ -210,7 +219,7 @@ class Look:
     def _ended(self) -> Result:
         """Take what there is: where the source has ended, the lens of all views."""
         if self._last is None:
-            raise OperationError(f"{self.name}: no picture came; see whether it is on")
+            raise OperationError(f"{self.name}: {self._lack}")
         missing = ""
         if self._wishes.out is not None:
             shown, picture = self._last

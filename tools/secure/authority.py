@@ -171,14 +171,12 @@ class Authority:
     def _require(self, identity: Identity) -> None:
         self._check()
         if not self._anchor_files(identity)[0].exists():
-            names = ", ".join(
-                f"{one.identity.kind} {one.identity.name}"
-                for one in self.listed()
-                if not one.is_revoked
-            )
-            raise InputError(
-                f"{identity.kind} {identity.name} has no certificate; there are: {names or 'none'}"
-            )
+            name, known = f"{identity.kind} {identity.name}", self.listed()
+            if any(one.identity == identity for one in known):
+                raise InputError(f"{name} was revoked; admit it anew: trigpoint secure node {name}")
+            others = [one.identity for one in known if not one.is_revoked]
+            names = [f"{other.kind} {other.name}" for other in others]
+            raise InputError(f"{name} has no certificate; there are: {', '.join(names) or 'none'}")
 
     def _anchor_files(self, identity: Identity) -> tuple[Path, Path]:
         self._check()

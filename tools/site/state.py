@@ -1,9 +1,10 @@
 """Summarises what a site's nodes report about themselves."""
 
 import textwrap
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Sequence
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from trigpoint.base.words import loss_words, numberless
 from trigpoint.contract.messages import DiagnosticStatus
@@ -22,6 +23,7 @@ _NO_GAUGES = frozenset({
     "last_error",
     MET,
 })  # fmt: skip
+_NAMED = {"edge": "camera", "robot": "robot"}
 _FACES = "faces"
 STATES = ("ok", "warning", "error", "stale")
 
@@ -55,18 +57,19 @@ class NodeStatus(Struct, frozen=True):
 class SiteStatus(Struct, frozen=True):
     """All nodes of a site, by name; `peers`: how many sessions the bus is connected to;
     `versions`: the nodes of each version that runs; `time`: when they were looked at, ISO 8601
-    with its zone."""
+    with its zone; `link`: why nodes may be there that were not heard, "" if none may."""
 
     site: str
     peers: int
     nodes: list[NodeStatus]
     versions: dict[str, list[str]] = {}
     time: str = ""
+    link: str = ""
 
     @property
     def is_well(self) -> bool:
-        """Whether no node is missing or in error."""
-        return all(node.is_well for node in self.nodes)
+        """Whether no node is missing or in error, and all could be heard."""
+        return not self.link and all(node.is_well for node in self.nodes)
 
 
 def summarise(
@@ -76,24 +79,51 @@ def summarise(
     tokens: Iterable[str],
     statuses: Iterable[DiagnosticStatus],
     wanted: Iterable[str] = (),
+    known: Iterable[str] | None = None,
     expect: Iterable[str] | None = None,
     time: str = "",
+    unreached: Sequence[str] = (),
 ) -> SiteStatus:
     """Combine liveliness tokens with the nodes' latest diagnostics; `wanted`: the nodes named in
-    the site file; `expect`: the kinds of node needed beside them, by default those that another
-    node has heard since it started."""
+    the site file; `known`: all agents and bridges that it may have, None: any; `expect`: the kinds
+    of node needed beside them, by default those that another node has heard since it started;
+    `unreached`: where nobody answers, so that it is not known who is missing."""
     alive = {token.partition("/alive/")[2] for token in tokens}
     latest = {(status.name, status.values.get("node", "")): status for status in statuses}
     nodes = [_node(status, status.name in alive) for status in latest.values()]
+    if known is not None:
+        kept = frozenset(known)
+        nodes = [_checked(node, kept) for node in nodes]
     spoken = {name for name, _ in latest}
     nodes += [NodeStatus(name, "silent", "alive, but says nothing") for name in alive - spoken]
+    link = ""
+    if unreached:
+        wanted, expect = (), ()
+        link = (
+            f"nobody answers at {', '.join(unreached)} (bus.connect); see whether the router, or "
+            "the machine that listens, is on"
+        )
     missing = set(wanted) - alive - spoken
     nodes += [
         NodeStatus(name, "missing", "named in the site file; not running") for name in missing
     ]
     nodes += _absent(expect, {name.partition("/")[0] for name in alive | spoken}, latest.values())
     nodes.sort(key=lambda node: node.name)
-    return SiteStatus(site, peers, nodes, _versions(nodes), time)
+    return SiteStatus(site, peers, nodes, _versions(nodes), time, link)
+
+
+def _checked(node: NodeStatus, known: Collection[str]) -> NodeStatus:
+    """The node, with a warning where it is a camera's or robot's that the site file does not
+    have."""
+    kind, _, name = node.name.partition("/")
+    if kind not in _NAMED or node.name in known or node.state == "gone":
+        return node
+    text = (
+        f"the site file has no {_NAMED[kind]} «{name}», so others may leave it out; add it there "
+        "and start them again, or stop this one"
+    )
+    said = text if node.message == "running" else f"{text}; {node.message}"
+    return replace(node, state="warning" if node.state == "ok" else node.state, message=said)
 
 
 def _absent(
@@ -170,7 +200,8 @@ def number_said(text: str) -> float:
 def table(status: SiteStatus, *, width: int = 100) -> str:
     """The status for people, in lines of at most `width` if their words allow it."""
     if not status.nodes:
-        return f"Nobody is alive on site {status.site} ({status.peers} sessions on the bus)."
+        alone = f"Nobody is alive on site {status.site} ({status.peers} sessions on the bus)."
+        return f"Of site {status.site} nobody is heard: {status.link}." if status.link else alone
     rows = [("node", "state", "up")]
     rows += [(node.name, node.state, f"{node.uptime_s:.0f} s") for node in status.nodes]
     widths = [max(len(row[column]) for row in rows) for column in range(3)]
@@ -191,6 +222,8 @@ def table(status: SiteStatus, *, width: int = 100) -> str:
                 break_on_hyphens=False,
             )
             first = margin
+    if status.link:
+        lines.append(f"Not all are heard: {status.link}")
     if len(status.versions) > 1:
         usual, *others = status.versions
         told = "; ".join(f"{version}: {', '.join(status.versions[version])}" for version in others)
@@ -207,8 +240,8 @@ def notes(node: NodeStatus) -> list[str]:
     found = [rates, words, losses and f"lost: {losses}"]
     is_told = node.message == "running" or node.message.startswith(LOST_SO_FAR)
     found += ["" if is_told else node.message]
-    if numberless(node.last_error) != numberless(node.message):
-        found += [node.last_error and f"last error: {node.last_error}"]
+    if numberless(node.last_error) not in numberless(node.message):
+        found += [f"last error: {node.last_error}"]
     return [note for note in found if note]
 
 

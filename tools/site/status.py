@@ -48,6 +48,7 @@ def main(
                 configuration.name,
                 watcher.stopping,
                 wanted=wanted_of(configuration),
+                known=known_of(configuration),
                 expect=configuration.expect,
             )
             if json:
@@ -66,6 +67,11 @@ class Watcher:
         self.stopping.set()
 
 
+def known_of(site: Site) -> list[str]:
+    """All agents and bridges that a site may have by its file."""
+    return [f"edge/{name}" for name in site.cameras] + [f"robot/{name}" for name in site.robots]
+
+
 def wanted_of(site: Site) -> list[str]:
     """The nodes named in a site file: an agent per camera, a bridge per robot with a port."""
     robots = [name for name, robot in site.robots.items() if robot.port is not None]
@@ -78,6 +84,7 @@ def look(
     stopping: threading.Event,
     *,
     wanted: Sequence[str] = (),
+    known: Sequence[str] | None = None,
     expect: Sequence[str] | None = None,
     listen_s: float = LISTEN_S,
 ) -> SiteStatus:
@@ -96,7 +103,9 @@ def look(
         tokens=tokens,
         statuses=statuses,
         wanted=wanted,
+        known=known,
         expect=expect,
+        unreached=bus.unreached,
         time=datetime.now().astimezone().isoformat(timespec="milliseconds"),
     )
 

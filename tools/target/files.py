@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from trigpoint.base.errors import InputError, TargetError, writing
+from trigpoint.base.words import counted
 from trigpoint.site.target import load_target
 
 from .check import check_target
@@ -45,7 +46,8 @@ def check(
         raise TargetError(f"{file}: {len(findings.problems)} to mend: {findings.problems[0]}")
     if not as_json:
         corners = sum(face.corner_count for face in target.faces)
-        typer.echo(f"target «{target.name}» is sound: {len(target.faces)} faces, {corners} corners")
+        faces = counted(len(target.faces), "face")
+        typer.echo(f"target «{target.name}» is sound: {faces}, {corners} corners")
 
 
 def draw(
@@ -66,7 +68,9 @@ def draw(
         sheets = draw_target(target, path)
     for face, sheet in zip(target.faces, sheets, strict=True):
         typer.echo(f"face {face.id}: {sheet.name}")
-    typer.echo(f"{path}: {len(sheets)} pages; print at 100 % and measure the bar on each")
+    typer.echo(
+        f"{path}: {counted(len(sheets), 'page')}; print at 100 % and measure the bar on each"
+    )
 
 
 def import_kalibr(

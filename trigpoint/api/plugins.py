@@ -7,7 +7,7 @@ of the URLs that it opens; one of `trigpoint.protocols` names a `Protocol`'s cla
 
 from trigpoint.base.clock import Clock
 from trigpoint.base.errors import FrameError, InputError
-from trigpoint.edge.sources.frames import Frame, FrameSource, Stamp, open_source
+from trigpoint.edge.sources.frames import Frame, FrameSource, Stamp, Unreadable, open_source
 from trigpoint.robot.line.protocol import (
     Acknowledged,
     Advice,
@@ -61,6 +61,7 @@ __all__ = [
     "Takes",
     "Traits",
     "Unanswered",
+    "Unreadable",
     "Vitals",
     "make_protocol",
     "open_source",

@@ -62,7 +62,8 @@ def _samples(
             continue
         metric, labels = metric_of(kind, name)
         if metric.text:
-            yield metric, labels | {metric.text: text}, 1.0
+            # What follows a colon is why, for people; as a label it would be a series each time.
+            yield metric, labels | {metric.text: text.partition(": ")[0]}, 1.0
         elif metric.type == "histogram":
             if (durations := _durations(text)) is not None:
                 yield metric, labels, durations

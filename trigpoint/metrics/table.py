@@ -82,6 +82,11 @@ METRICS: dict[str, tuple[Metric, ...]] = {
             "by how much this machine's clock was set and is not followed yet, else absent",
         ),
         Metric(
+            "trigpoint_clock_offset_seconds",
+            "clock_offset_ms",
+            "fusion's clock less this machine's, of cameras and robots",
+        ),
+        Metric(
             "trigpoint_certificate_left_seconds",
             "certificate_days",
             "until the program's certificate runs out; absent on a site without certificates",
@@ -131,7 +136,7 @@ METRICS: dict[str, tuple[Metric, ...]] = {
         Metric(
             "trigpoint_source_state",
             "source",
-            "1 for the state: opening, waiting, running, frozen, lost, ended",
+            "1 for the state: opening, waiting, running, frozen, unreadable, lost, ended",
             text="state",
         ),
         Metric("trigpoint_stamps_info", "stamps", "1 for how pictures are stamped", text="stamped"),
@@ -293,11 +298,6 @@ METRICS: dict[str, tuple[Metric, ...]] = {
         ),
         Metric(
             "trigpoint_firmware_clock_jumps_total", "clock_jumps", "jumps of the firmware's clock"
-        ),
-        Metric(
-            "trigpoint_clock_offset_seconds",
-            "clock_offset_ms",
-            "fusion's clock less this machine's",
         ),
         Metric(
             "trigpoint_serial_errors_total",

@@ -27,7 +27,7 @@ from trigpoint.contract.cdr import decode, encode
 from trigpoint.contract.messages import Diagnostics, DiagnosticStatus
 from trigpoint.contract.topics import DIAGNOSTICS, alive_key
 
-from .health import Health, Level
+from .health import Health, Level, Report
 from .peers import CLOCK_SET_BY, MET, Peers
 from .watchdog import Pulse, Watchdog
 
@@ -245,6 +245,10 @@ class Node:
         """How long nothing has been heard of `fusion` or `recorder`; None if it never was."""
         return self._peers.silent_s(server)
 
+    def trouble_of(self, server: str) -> str:
+        """What `fusion` or `recorder` says is wrong with it, "" where nothing is."""
+        return self._peers.trouble_of(server)
+
     def diagnostics(self) -> Diagnostics:
         """The node's current diagnostics. Called on the diagnostics thread."""
         if (more := self._bus.unsent - self.health.lost("unsent")) > 0:
@@ -256,11 +260,7 @@ class Node:
             if self._logged_error not in held.values():
                 _log.error("%s: %s", self.label, self._logged_error)
         self._log_held(held)
-        level, message = report.level, report.message
-        if level is Level.OK and (warning := self._bus.warning):
-            level, message = Level.WARN, warning
-        if complaint := self._complaint():
-            level, message = Level.ERROR, complaint
+        level, message = self._judge(report)
         values = (
             self._identity()
             | self._clock_values()
@@ -285,11 +285,16 @@ class Node:
             _log.info("%s: over: %s", self.label, self._logged_held[name])
         self._logged_held = held
 
-    def _complaint(self) -> str:
-        """Problems outside the node's own work, "" if there are none."""
-        if hung := self.watchdog.hung:
-            return f"no sign of life of: {', '.join(hung)}"
-        return self._peers.complaint() or self._connection_complaint()
+    def _judge(self, report: Report) -> tuple[Level, str]:
+        """Everything that is wrong, the worst first: none hides another."""
+        hung = ", ".join(self.watchdog.hung)
+        outside = (hung and f"no sign of life of: {hung}", self._peers.complaint())
+        found = [(Level.ERROR, text) for text in (*outside, self._connection_complaint())]
+        found += [(Level.WARN, self._bus.warning), (report.level, report.message)]
+        said = [(level, text) for level, text in found if level is not Level.OK and text]
+        if not said:
+            return report.level, report.message
+        return max(said)[0], "; ".join(text for _, text in sorted(said, key=lambda one: -one[0]))
 
     def _connection_complaint(self) -> str:
         """What is wrong with the connection to the other nodes; changes are logged."""

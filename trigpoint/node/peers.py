@@ -6,6 +6,8 @@ import time
 from trigpoint import CONTRACT
 from trigpoint.contract.messages import DiagnosticStatus
 
+from .health import Level
+
 _log = logging.getLogger(__name__)
 
 _MEMORY_S = 5.0
@@ -26,6 +28,7 @@ class Peers:
         self._complaints: dict[str, float] = {}
         self._doubted: dict[str, float] = {}
         self._servers_s: dict[str, float] = {}
+        self._troubles: dict[str, str] = {}
 
     def meet(self, status: DiagnosticStatus) -> bool:
         """Take note of another node; return whether it has this node's name and is older.
@@ -37,6 +40,7 @@ class Peers:
             return False
         if (kind := status.name.partition("/")[0]) in SERVERS:
             self._servers_s[kind] = time.monotonic()
+            self._troubles[kind] = status.message if status.level >= Level.ERROR else ""
         if CLOCK_SET_BY in status.values and len(self._doubted) < _MOST_DOUBTED:
             self._doubted[status.name] = time.monotonic()
         else:
@@ -59,6 +63,10 @@ class Peers:
         """How long nothing has been heard of a server; None if it never was. Any thread."""
         heard_s = self._servers_s.get(server)
         return None if heard_s is None else time.monotonic() - heard_s
+
+    def trouble_of(self, server: str) -> str:
+        """What a server says is wrong with it, "" where nothing is. Any thread."""
+        return self._troubles.get(server, "")
 
     @property
     def doubted_names(self) -> frozenset[str]:

@@ -15,7 +15,7 @@ from trigpoint.contract.cdr import decode
 from trigpoint.contract.topics import Topic
 from trigpoint.edge.node import EdgeNode
 from trigpoint.edge.sources import frames as frames_module
-from trigpoint.edge.sources.frames import Frame
+from trigpoint.edge.sources.frames import Frame, Unreadable
 from trigpoint.geometry import CameraModel
 from trigpoint.node.node import Node
 from trigpoint.site.config import CameraConfig, parse_site
@@ -31,7 +31,7 @@ class ScriptedFrames:
     """A source whose stamps and pictures the test hands over; an exception among them is raised,
     and the next opening goes on behind it. It says that it skipped one picture for each."""
 
-    script: Iterator[tuple[int, np.ndarray] | Frame | Exception]
+    script: Iterator[tuple[int, np.ndarray] | Frame | Unreadable | Exception]
     opened = 0
     own_lens: CameraModel | None = None
 
@@ -43,14 +43,14 @@ class ScriptedFrames:
     def intrinsics(self) -> CameraModel | None:
         return self.own_lens
 
-    def frames(self, stopping: threading.Event) -> Iterator[Frame]:
+    def frames(self, stopping: threading.Event) -> Iterator[Frame | Unreadable]:
         for item in self.script:
             if stopping.is_set():
                 return
             if isinstance(item, Exception):
                 raise item
             self.skipped += 1
-            yield item if isinstance(item, Frame) else Frame(item[1], item[0])
+            yield item if isinstance(item, Frame | Unreadable) else Frame(item[1], item[0])
 
     def close(self) -> None:
         pass
@@ -71,7 +71,7 @@ class Desk:
         self,
         *pictures: tuple[int, np.ndarray] | Frame | Exception,
         camera: str = "",
-        script: Iterator[tuple[int, np.ndarray] | Frame | Exception] | None = None,
+        script: Iterator[tuple[int, np.ndarray] | Frame | Unreadable | Exception] | None = None,
         target: Target | None = None,
         clock: Clock | None = None,
     ) -> Node:

@@ -1,7 +1,9 @@
 """What the agent of a camera sends, and when."""
 
+import json
 import logging
 import threading
+import time
 from collections.abc import Iterator
 
 import cv2
@@ -16,7 +18,7 @@ from benchmarks.pictures.still_scene import Stand, StillScene
 from trigpoint.base.clock import ManualClock
 from trigpoint.contract.messages import Picture, Sightings
 from trigpoint.contract.topics import IMAGE, SIGHTINGS, command_key
-from trigpoint.edge.sources.frames import Frame
+from trigpoint.edge.sources.frames import Frame, Unreadable
 
 __all__ = ["desk"]  # the fixture
 
@@ -43,6 +45,46 @@ def test_every_picture_gives_sightings_also_where_there_are_none(desk: Desk) -> 
     assert worst_error(face.pixels, face.corners, VIEW) < 0.3
     assert node.health.total("sent lab/camera/c1/sightings") == 3
     assert node.health.total("faces") == 1
+
+
+def held_back(until: threading.Event) -> Iterator[Frame]:
+    until.wait()
+    yield Frame(EMPTY, 1)
+
+
+def test_clock_that_is_off_is_told_by_the_camera_itself(desk: Desk) -> None:
+    waits = threading.Event()
+    desk.bus.serve("lab/clock", lambda _: json.dumps({"now_ns": time.time_ns() - 10**9}).encode())
+    node = desk.start(script=held_back(waits))
+    assert eventually(lambda: "clock is 1.0" in node.health.last_error)
+    assert "s ahead of fusion's, where 0.006 s are borne: what camera c1 sees" in (
+        node.health.last_error
+    )
+    waits.set()
+
+
+def test_source_that_gives_nothing_readable_is_said_until_it_does(desk: Desk) -> None:
+    spoilt, goes_on = threading.Event(), threading.Event()
+
+    def script() -> Iterator[Frame | Unreadable]:
+        yield Frame(EMPTY, 1)
+        yield Unreadable("01.png is cut short")
+        clock.advance(5.0)
+        yield Unreadable("02.png is cut short")
+        spoilt.set()
+        goes_on.wait()
+        yield Frame(EMPTY, 2)
+
+    clock = ManualClock(10**18)
+    node = desk.start(script=script(), clock=clock)
+    assert spoilt.wait(10.0)
+    assert node.health.held["source"] == (
+        "camera c1: no picture that can be read for 5 s; 02.png is cut short"
+    )
+    assert node.health.lost("unreadable") == 2
+    goes_on.set()
+    node.wait()
+    assert node.health.held == {}
 
 
 def test_picture_that_takes_longer_than_a_period_is_given_up_and_counted(desk: Desk) -> None:

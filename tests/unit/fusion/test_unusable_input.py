@@ -5,12 +5,13 @@ import pytest
 from msgspec.structs import replace
 from support.fusion.drives import EPOCH_NS, Session, pushed
 
-from trigpoint.base.clock import to_ns
+from trigpoint.base.clock import ManualClock, to_ns
 from trigpoint.contract.messages import Message, Odometry, Sightings
 from trigpoint.fusion.diagnostics import Diagnostics
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.intake.admission import Admission
 from trigpoint.fusion.pipeline import Pipeline
+from trigpoint.node.health import Health
 
 
 def first_picture(session: Session, camera: str = "c1") -> Sightings:
@@ -24,6 +25,14 @@ def odometry_until(session: Session, seconds: float) -> tuple[tuple[str, Message
     return tuple(
         (n, m) for n, m in session.messages if isinstance(m, Odometry) and m.stamp_ns <= end_ns
     )
+
+
+def live(session: Session) -> Pipeline:
+    """A pipeline that has two seconds of odometry."""
+    pipeline = Pipeline(session.inputs)
+    for node, message in odometry_until(session, 2.0):
+        pipeline.push(node, message)
+    return pipeline
 
 
 def test_picture_of_another_size_is_counted_and_named(charuco: Session) -> None:
@@ -129,11 +138,9 @@ def test_wrong_pictures_leave_the_rest_as_it_is(charuco: Session, charuco_result
 def test_live_two_clocks_are_said_for_as_long_as_the_camera_sees_the_target(
     charuco: Session,
 ) -> None:
-    pipeline, site = Pipeline(charuco.inputs), charuco.inputs.site
+    pipeline, site = live(charuco), charuco.inputs.site
     diagnostics, picture = Diagnostics(site, Admission(site)), first_picture(charuco)
     troubles: dict[str, str] = {}
-    for node, message in odometry_until(charuco, 2.0):
-        pipeline.push(node, message)
     for second in range(10):
         stamp_ns = EPOCH_NS - to_ns(3600.0 - second)
         pipeline.push("c1", replace(picture, stamp_ns=stamp_ns))
@@ -141,3 +148,54 @@ def test_live_two_clocks_are_said_for_as_long_as_the_camera_sees_the_target(
     assert "camera c1: it saw a target in 10 pictures" in troubles["apart c1"]
     assert "synchronise the clocks" in troubles["apart c1"]
     assert "apart c1" not in diagnostics.now(pipeline, to_ns(20.0))
+
+
+def test_each_camera_of_a_problem_is_named(charuco: Session) -> None:
+    pipeline, site = live(charuco), charuco.inputs.site
+    diagnostics, picture = Diagnostics(site, Admission(site)), first_picture(charuco)
+    for camera in ("c1", "c2"):
+        pipeline.push(camera, replace(picture, width=9))
+    troubles = " ".join(diagnostics.now(pipeline, to_ns(1.0)).values())
+    assert "camera c1 sends pictures of 9" in troubles
+    assert "camera c2 sends pictures of 9" in troubles
+
+
+def test_sightings_that_waited_are_no_clock_that_is_off_but_lasting_ones_are(
+    charuco: Session,
+) -> None:
+    pipeline, site = live(charuco), charuco.inputs.site
+    diagnostics, picture = Diagnostics(site, Admission(site)), first_picture(charuco)
+    health = Health(ManualClock())
+
+    def told(second: int, *, is_late: bool) -> str:
+        if is_late:
+            stamp_ns = EPOCH_NS + to_ns(1.0) + second
+            pipeline.push("c1", replace(picture, stamp_ns=stamp_ns))
+        pipeline.advance(EPOCH_NS + to_ns(60.0))
+        diagnostics.report(pipeline, health, to_ns(second), checkpoint="")
+        return health.report().message
+
+    assert [told(second, is_late=second == 1) for second in range(1, 9)] == ["running"] * 8
+    assert pipeline.left_out["late"] == 1
+    lasting = [told(second, is_late=True) for second in range(20, 26)]
+    assert "sightings of c1 come over 1 s late" in lasting[-1]
+    assert lasting[1] == "running"
+
+
+def test_clock_in_doubt_is_said_by_fusion(charuco: Session) -> None:
+    pipeline, site = live(charuco), charuco.inputs.site
+    diagnostics = Diagnostics(site, Admission(site))
+    pipeline.doubted = frozenset({"c2"})
+    assert "no corrections by c2: a clock was set" in diagnostics.now(pipeline, 0)["clocks"]
+    pipeline.doubted = frozenset()
+    assert diagnostics.now(pipeline, 1) == {}
+
+
+def test_whom_the_site_file_does_not_have_is_named_while_it_sends(charuco: Session) -> None:
+    pipeline, site = live(charuco), charuco.inputs.site
+    admission = Admission(site)
+    diagnostics = Diagnostics(site, admission)
+    assert not admission.knows("lab/camera/c7/sightings")
+    text = diagnostics.now(pipeline, to_ns(1.0))["unknown_sender"]
+    assert "does not have who sends lab/camera/c7/sightings; add it there" in text
+    assert diagnostics.now(pipeline, to_ns(10.0)) == {}

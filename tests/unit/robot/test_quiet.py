@@ -1,16 +1,24 @@
 """Why no odometry comes, live and in a dry run."""
 
 from dataclasses import dataclass
+from uuid import uuid4
 
+import numpy as np
 import pytest
 
 from trigpoint.base.clock import ManualClock, to_ns
+from trigpoint.contract.correction import CorrectionMark
+from trigpoint.contract.messages import PoseEstimate
+from trigpoint.geometry import Pose
+from trigpoint.node.clock_watch import CLOCK_IS_OFF
 from trigpoint.node.health import Health
 from trigpoint.robot.bridge import Bridge
 from trigpoint.robot.line.protocol import Connected, Damaged, DamageKind, Event
 from trigpoint.robot.odometry.stamps import Offset
 from trigpoint.robot.quiet import CorrectionWatch, OdometryWatch, why_nothing
 from trigpoint.site.config import RobotConfig
+
+KEY = "lab/robot/r1/correction"
 
 
 @dataclass
@@ -69,17 +77,23 @@ class Listener:
     health: Health
     fusion_away_s: float | None = None
 
+    trouble: str = ""
+
     def silent_s(self, server: str) -> float | None:
         assert server == "fusion"
         return self.fusion_away_s
+
+    def trouble_of(self, server: str) -> str:
+        assert server == "fusion"
+        return self.trouble
 
 
 def test_missing_corrections_are_an_error_only_where_fusion_went_away() -> None:
     health = Health(ManualClock())
     node = Listener(health, 0.5)
-    watch = CorrectionWatch("r1", bridge(health), node)
+    watch = CorrectionWatch("r1", bridge(health), node, KEY)
     watch.look(to_ns(1.0))
-    health.count("corrections")
+    health.count("corrections_accepted")
     watch.look(to_ns(2.0))
     watch.look(to_ns(11.0))
     assert (health.held, words(health)) == ({}, "")
@@ -89,9 +103,31 @@ def test_missing_corrections_are_an_error_only_where_fusion_went_away() -> None:
     node.fusion_away_s = 6.0
     watch.look(to_ns(15.0))
     assert "no corrections for 13 s: fusion is not running" in health.held["corrections"]
-    health.count("corrections")
+    health.count("corrections_accepted")
     watch.look(to_ns(16.0))
     assert (health.held, words(health)) == ({}, "")
+
+
+def test_what_keeps_corrections_from_a_robot_is_what_is_told() -> None:
+    health = Health(ManualClock())
+    node, made = Listener(health, 0.5), bridge(health)
+    watch = CorrectionWatch("r1", made, node, KEY)
+    watch.look(to_ns(1.0))
+    node.trouble = "sightings of c2 come over 1 s late"
+    watch.look(to_ns(12.0))
+    assert "no corrections for 11 s: fusion says: sightings of c2 come over" in words(health)
+    health.count(f"received {KEY}")  # they come, and none is taken: why, the bridge itself knows
+    watch.look(to_ns(13.0))
+    assert "for 12 s: those that come wait; its place is unknown" in words(health)
+    health.count(f"received {KEY}")
+    at = PoseEstimate(10**18, "map", Pose.planar(1.0, 2.0, 0.5), np.eye(6))
+    made.on_correction(at, CorrectionMark(uuid4(), 1), 0)
+    watch.look(to_ns(14.0))
+    assert "for 13 s: the robot is not connected;" in words(health)
+    health.hold(CLOCK_IS_OFF, "this machine's clock is 2.000 s ahead of fusion's")
+    health.count(f"received {KEY}")
+    watch.look(to_ns(15.0))
+    assert "for 14 s: this machine's clock is 2.000 s ahead" in words(health)
 
 
 def words(health: Health) -> str:

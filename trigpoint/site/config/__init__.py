@@ -1,7 +1,7 @@
 """site.toml as frozen structs, one per table; errors name file, line and key."""
 
 from .bus import BusConfig, RouterConfig, TlsConfig
-from .camera import CameraConfig
+from .camera import OFFSET_SIGMAS, CameraConfig
 from .endpoints import (
     endpoint_host,
     endpoint_port,
@@ -25,6 +25,7 @@ from .robot import (
 from .site import Site, load_site, parse_site
 
 __all__ = [
+    "OFFSET_SIGMAS",
     "ROS2_PROTOCOL",
     "BusConfig",
     "CameraConfig",

@@ -13,6 +13,8 @@ from .number_types import Count, NotNegative, Positive
 _PICTURE_SCHEMES = ("sim", "dir", "file", "v4l2", "rtsp")
 # At more than this from row to row, reading out a picture takes half a second.
 _LONGEST_LINE_DELAY_S = 1e-3
+OFFSET_SIGMAS = 3.0
+"""A picture may be off its stamp by this many sigmas of its camera's time offset."""
 # A network camera's pictures are stamped on arrival, or by an unchecked clock; what remains of the
 # delay from exposure to arrival (0.05 to 0.5 s) is estimated.
 _RTSP_OFFSET_SIGMA_S = 0.2
@@ -64,6 +66,11 @@ class CameraConfig(Struct, frozen=True, forbid_unknown_fields=True):
             return None
         place = self.source.partition("://")[2].partition("?")[0]
         return f"/dev/video{place}" if self.scheme == "v4l2" and place.isdigit() else place
+
+    @property
+    def most_time_offset_s(self) -> float:
+        """How far its stamps may be off, as its time offset's sigma says; estimated that far."""
+        return OFFSET_SIGMAS * self.time_offset_sigma
 
     @property
     def readout_s(self) -> float:

@@ -17,7 +17,7 @@ from .map import MapConfig, PointConfig
 from .metrics import MetricsConfig
 from .names import validate_name
 from .recorder import RecorderConfig
-from .robot import RobotConfig
+from .robot import OdometryNoise, RobotConfig
 
 _Item = TypeVar("_Item")
 Server = Literal["fusion", "recorder"]
@@ -94,6 +94,13 @@ class Site(Struct, frozen=True):
     def robot(self, name: str) -> RobotConfig:
         """A robot by name; raise a ConfigError that lists the known ones."""
         return _pick(self.robots, name, "robot")
+
+    def bearable_clock_offset_s(self, camera: str) -> float:
+        """How far a camera's clock may be from fusion's: as far as every robot's odometry bears,
+        beyond the time offset that is estimated."""
+        odometry = [robot.odometry for robot in self.robots.values()] or [OdometryNoise()]
+        borne_s = min(noise.bearable_clock_offset_s for noise in odometry)
+        return self.camera(camera).most_time_offset_s + borne_s
 
     def target_name(self, robot: str) -> str:
         """The path of a robot's target file, as written in the site file."""

@@ -1,6 +1,7 @@
 """Pictures from folders and videos: order, time, and what is missing."""
 
 import threading
+from collections.abc import Iterable
 from itertools import islice
 from pathlib import Path
 
@@ -10,7 +11,13 @@ import pytest
 
 from trigpoint.base.clock import ManualClock, to_ns
 from trigpoint.base.errors import InputError
-from trigpoint.edge.sources.frames import SOURCES, Frame, open_source, source_class
+from trigpoint.edge.sources.frames import (
+    SOURCES,
+    Frame,
+    Unreadable,
+    open_source,
+    source_class,
+)
 from trigpoint.edge.sources.frames_video import Video
 from trigpoint.site.config import CameraConfig
 
@@ -46,15 +53,17 @@ def frames_of(
     """All frames of a source for a taker that needs `busy_s` for each, and how many it missed."""
     source = open_source(url, CameraConfig(url, rate=rate), clock=clock, directory=directory)
     frames = []
-    for frame in filter(None, source.frames(threading.Event())):
-        frames.append(frame)
+    for frame in source.frames(threading.Event()):
+        if isinstance(frame, Frame):
+            frames.append(frame)
         clock.advance(busy_s)
     source.close()
     return frames, source.skipped
 
 
-def numbers(frames: list[Frame]) -> list[int]:
-    return [round(float(frame.picture.mean()) / 40) for frame in frames]
+def numbers(frames: Iterable[Frame | Unreadable | None]) -> list[int]:
+    pictures = [frame.picture for frame in frames if isinstance(frame, Frame)]
+    return [round(float(picture.mean()) / 40) for picture in pictures]
 
 
 def test_pictures_of_a_folder_come_in_order_at_the_cameras_rate(tmp_path: Path) -> None:
@@ -144,9 +153,11 @@ def test_damaged_picture_in_a_folder_is_left_out_counted_and_named(
     write_pictures(tmp_path)
     whole, _ = frames_of(f"dir://{tmp_path}", clock=ManualClock())
     (tmp_path / "02.png").write_bytes((tmp_path / "02.png").read_bytes()[:40])
-    found, _ = frames_of(f"dir://{tmp_path}", clock=ManualClock())
-    assert len(found) == len(whole) - 1
-    assert sum(frame.unreadable for frame in found) == 1
+    url = f"dir://{tmp_path}"
+    source = open_source(url, CameraConfig(url), clock=ManualClock(), directory=Path())
+    found = list(source.frames(threading.Event()))
+    assert [isinstance(frame, Frame) for frame in found] == [True, True, False, True]
+    assert len(whole) == 4
     assert "02.png: the picture is cut short" in caplog.text
 
 
@@ -162,6 +173,25 @@ def test_folder_that_loops_begins_again(tmp_path: Path) -> None:
     source = open_source(url, CameraConfig(url), clock=ManualClock(), directory=Path())
     frames = [frame for frame in islice(source.frames(threading.Event()), 9) if frame]
     assert numbers(frames) == [0, 1, 2, 3, 0, 1, 2, 3, 0]
+
+
+def test_folder_that_loops_keeps_its_pace_where_its_pictures_are_spoilt_meanwhile(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    write_pictures(tmp_path)
+    url, clock = f"dir://{tmp_path}?loop=1", ManualClock()
+    source = open_source(url, CameraConfig(url, rate=5.0), clock=clock, directory=Path())
+    frames = source.frames(threading.Event())
+    assert isinstance(next(frames), Frame)
+    for file in tmp_path.iterdir():
+        file.write_bytes(b"\x89PNG")
+    spoilt = [frame for frame in islice(frames, 20) if isinstance(frame, Unreadable)]
+    assert len(spoilt) == 20
+    assert "cut short" in spoilt[-1].reason
+    assert clock.elapsed_ns() == pytest.approx(to_ns(20 * 0.2))
+    assert caplog.text.count("it is left out") == 4  # each file once
+    write_pictures(tmp_path)
+    assert isinstance(next(frames), Frame)
 
 
 def test_folder_that_loops_ends_where_nothing_can_be_read(tmp_path: Path) -> None:
@@ -182,16 +212,16 @@ def test_followed_folder_gives_each_picture_once_when_it_is_whole(
     assert next(found) is None
     (folder / "0.png").write_bytes(data[0])
     (folder / "1.png").write_bytes(data[1][:40])
-    assert numbers([frame for frame in islice(found, 4) if frame]) == [0]
+    assert numbers(islice(found, 4)) == [0]
     (folder / "1.png").write_bytes(data[1])
     (folder / "2.png").write_bytes(data[2][:40])  # and is never written on
-    assert numbers([frame for frame in islice(found, 4) if frame]) == [1]
+    assert numbers(islice(found, 4)) == [1]
     assert "left out" not in caplog.text
-    assert not any(islice(found, 15))
+    found_spoilt = [frame for frame in islice(found, 15) if frame is not None]
+    assert [isinstance(frame, Unreadable) for frame in found_spoilt] == [True]
     assert "2.png: the picture is cut short" in caplog.text
     (folder / "3.png").write_bytes(data[3])
-    last = [frame for frame in islice(found, 4) if frame]
-    assert (numbers(last), last[0].unreadable) == ([3], 1)
+    assert numbers(islice(found, 4)) == [3]
 
 
 @pytest.mark.parametrize("follow", ["", "?follow=1"])

@@ -11,8 +11,8 @@ from support.builders import eventually
 
 from trigpoint.base.clock import Clock, ManualClock, SystemClock, to_ns
 from trigpoint.base.errors import FrameError, InputError
-from trigpoint.edge.sources.frames import Frame, open_source, without_password
-from trigpoint.edge.sources.frames_live import Capture, LiveFrames, _Pace, arrival_stamp
+from trigpoint.edge.sources.frames import Frame, Unreadable, open_source, without_password
+from trigpoint.edge.sources.frames_live import STALLED_S, Capture, LiveFrames, _Pace, arrival_stamp
 from trigpoint.site.config import CameraConfig
 
 
@@ -48,6 +48,11 @@ class SteppedClock(ManualClock):
         self._now_ns = to_ns(seconds)
 
 
+def pictures(found: Iterator[Frame | Unreadable]) -> Iterator[Frame]:
+    """Those that can be read."""
+    return (frame for frame in found if isinstance(frame, Frame))
+
+
 @contextmanager
 def live(
     capture: FakeCapture, *, rate: float = 1e6, clock: Clock | None = None
@@ -61,9 +66,34 @@ def live(
         stamp=arrival_stamp,
     )
     try:
-        yield source, iter(source.frames(stopping)), stopping
+        yield source, pictures(source.frames(stopping)), stopping
     finally:
         stopping.set()
+        capture.is_lost.set()
+        source.close()
+
+
+class DamagedCapture(FakeCapture):
+    """Every second picture is damaged, and all after the fifth."""
+
+    def read(self) -> tuple[bool, np.ndarray]:
+        is_read, picture = super().read()
+        is_damaged = self.made % 2 == 0 or self.made > 5
+        return is_read, np.zeros((0, 0)) if is_damaged else picture
+
+
+def test_damaged_pictures_of_a_camera_are_counted_and_named_where_no_other_comes() -> None:
+    capture, clock = DamagedCapture(), ManualClock()
+    source = LiveFrames("cam", lambda: capture, clock=clock, rate=1e6, stamp=arrival_stamp)
+    found = source.frames(threading.Event())
+    try:
+        for is_sound in (True, False, True, False, True, False, False):
+            capture.permits.release()
+            assert isinstance(next(found), Frame) == is_sound
+        clock.advance(3 * STALLED_S)
+        with pytest.raises(FrameError, match="cam: no whole picture for 2 s"):
+            next(found)
+    finally:
         capture.is_lost.set()
         source.close()
 

@@ -105,7 +105,7 @@ def test_camera_that_was_moved_makes_no_wrong_correction_and_is_said(
     assert errors([m for _, m in told], truth_of(session))[1].max() < FAR
     assert len(told) > 15  # by the two others
     assert pipeline.left_out["against_the_map"] > 3
-    assert "camera c2 sees r1 elsewhere" in pipeline.problems["against_the_map"]
+    assert "camera c2 sees r1 elsewhere" in pipeline.problems["against_the_map"].text
 
 
 def test_camera_that_says_that_it_was_moved_makes_no_correction(
@@ -122,7 +122,7 @@ def test_camera_that_says_that_it_was_moved_makes_no_correction(
     assert "c2" in before
     assert after
     assert "c2" not in after
-    assert "camera c2 noticed that it was moved" in pipeline.problems["against_the_map"]
+    assert "camera c2 noticed that it was moved" in pipeline.problems["against_the_map"].text
     assert list(pipeline.nudges.open) == ["c2"]
     assert "until the map is learnt anew" in pipeline.nudges.open["c2"]
 
@@ -141,7 +141,7 @@ def test_robot_that_began_before_a_moved_camera_is_found_out_by_the_others(
     told = [m for _, m in corrections(pipeline, messages[until:])]
     assert errors(told, truth_of(session))[1].max() < FAR
     assert len(told) > 10
-    assert "camera c1 sees r1 elsewhere" in pipeline.problems["against_the_map"]
+    assert "camera c1 sees r1 elsewhere" in pipeline.problems["against_the_map"].text
 
 
 def test_lifted_robot_is_corrected_again_once_two_cameras_agree(

@@ -1,11 +1,13 @@
 """Recording on a thread of its own: what is kept, what is lost, what is said."""
 
+import shutil
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 from msgspec.structs import replace
@@ -14,6 +16,7 @@ from rosbags.typesys import Stores, get_typestore
 from support.builders import eventually, make_odometry
 
 from trigpoint.base.clock import SystemClock
+from trigpoint.base.disk import free_bytes
 from trigpoint.base.errors import RecordingError
 from trigpoint.contract import cdr
 from trigpoint.contract.topics import CAMERA_INFO, CORRECTION, IMAGE, ODOMETRY
@@ -239,6 +242,32 @@ def test_the_oldest_finished_session_makes_room_never_the_running_one(tmp_path: 
         "lab_20260103T000000Z/session.mcap",
     ]
     assert Room(tmp_path, 0.0, frees_oldest=True, prefix="lab").problem(running) == ""
+
+
+def test_a_file_that_is_being_written_is_not_said_to_be_broken_off(tmp_path: Path) -> None:
+    path = tmp_path / "s.mcap"
+    with McapSink(path, clock=SystemClock()) as sink:
+        assert put(sink, 1)
+        assert eventually(lambda: messages_in(path) == 1)
+        shutil.copy(path, tmp_path / "killed.mcap")
+        assert open_recording(path).problem == "it is still being written"
+        assert "there is no footer: it is still being written" in check(path).errors
+    assert (open_recording(path).problem, check(path).errors) == ("", [])
+    killed = tmp_path / "killed.mcap"
+    assert open_recording(killed).problem.startswith("it breaks off at byte ")
+    assert "there is no footer: the recording was broken off" in check(killed).errors
+
+
+@pytest.mark.skipif(not Path("/dev/shm").is_dir(), reason="there is no second disk here")
+def test_room_is_asked_of_the_disk_that_is_written_to(tmp_path: Path) -> None:
+    with TemporaryDirectory(dir="/dev/shm") as other:
+        finished = Path(other) / "lab_20260101T000000Z" / "session.mcap"
+        with McapSink(finished, clock=SystemClock()) as sink:
+            put(sink, 1)
+        least = free_bytes(tmp_path) + free_bytes(Path(other))
+        room = Room(Path(other), least, frees_oldest=True, prefix="lab")
+        assert room.problem(tmp_path).startswith(f"{tmp_path}: ")
+        assert finished.exists()  # its going would make no room there
 
 
 def test_over_the_budget_the_oldest_recordings_go_and_then_finished_parts(tmp_path: Path) -> None:

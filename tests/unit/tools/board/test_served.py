@@ -112,6 +112,16 @@ def test_the_metrics_of_all_nodes_are_on_one_page(desk: Desk, site: BoardSite) -
     assert 'trigpoint_queue_received_total{node="board",queue="robot_pose",site="lab"}' in text
 
 
+def test_who_is_missing_is_in_error_on_the_page_of_metrics(desk: Desk, site: BoardSite) -> None:
+    site.announce(time.time())
+    missing = b'trigpoint_node_level{camera="c1",node="edge/c1",site="lab"} 2.0'
+    assert eventually(lambda: missing in desk.ask("/metrics").body, 20.0)
+    site.announce(time.time())
+    heard = b'trigpoint_node_level{camera="c1",node="edge/c1",site="lab"} 0.0'
+    assert eventually(lambda: heard in desk.ask("/metrics").body)
+    assert desk.ask("/metrics").body.count(b'level{camera="c1",') == 1
+
+
 def test_a_picture_leaves_the_camera_only_while_it_is_looked_at(
     desk: Desk, site: BoardSite, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -99,6 +99,16 @@ def test_every_parts_own_checks_open(part: str) -> None:
         assert finding.level == "ok" or finding.remedy
 
 
+def test_protocol_that_is_not_here_is_told_although_its_port_is_elsewhere(
+    quick: None, tmp_path: Path
+) -> None:
+    more = '[robots.r9]\nport = "/dev/no_port"\nprotocol = "trigpiont"\n'
+    findings = {finding.name: finding for finding in examine(load_site(write_site(tmp_path, more)))}
+    assert findings["robot r9"].level == "error"
+    assert "no protocol «trigpiont»" in findings["robot r9"].message
+    assert "create2" in (findings["robot r9"].remedy or "")
+
+
 def test_sites_devices_and_targets_are_looked_at(quick: None, tmp_path: Path) -> None:
     more = '[cameras.c9]\nsource = "v4l2:///dev/no_camera"\n[robots.r9]\nport = "/dev/no_port"\n'
     more = f'[cameras.c8]\nsource = "rtsp://a"\nheight = 481\nline_delay = 30e-6\n{more}'
@@ -147,6 +157,18 @@ def test_board_that_the_file_describes_the_wrong_way_round_is_told_with_what_to_
     findings = [one for one in examine(load_site(site)) if one.name.startswith("boards of ")]
     assert [one.level for one in findings] == ["error"]
     assert "write columns = 8 and rows = 6" in findings[0].remedy
+
+
+def test_camera_one_of_whose_pictures_is_damaged_is_looked_at(quick: None, tmp_path: Path) -> None:
+    site = write_site(tmp_path)
+    text = site.read_text()
+    [source] = [line for line in text.splitlines() if line.startswith("source")][:1]
+    site.write_text(text.replace(source, 'source = "dir://shots"', 1))
+    (tmp_path / "shots").mkdir()
+    (tmp_path / "shots" / "0.png").write_bytes(b"\x89PNG")
+    cv2.imwrite(str(tmp_path / "shots" / "1.png"), picture_of([placed(checkerboard(8, 6))]))
+    findings = {finding.name: finding for finding in examine(load_site(site))}
+    assert "640 × 480, 1 picture at" in findings["camera c1"].message
 
 
 def test_target_of_a_site_without_robots_is_looked_at(quick: None, tmp_path: Path) -> None:

@@ -185,6 +185,14 @@ def test_wrong_use_is_told_in_one_line(
     assert expected in cli.refused("secure", *words, "--site", site)
 
 
+def test_revoked_certificate_is_said_to_be_so(site: Path, secure: Secure, cli: Cli) -> None:
+    secure("node", "camera", "c1")
+    secure("revoke", "camera", "c1")
+    for word in ("renew", "revoke"):
+        said = cli.refused("secure", word, "camera", "c1", "--site", site)
+        assert "camera c1 was revoked; admit it anew: trigpoint secure node camera c1" in said
+
+
 def test_certificate_of_somebody_else_is_refused(site: Path, secure: Secure) -> None:
     secure("node", "camera", "c1")
     secure("node", "camera", "c2")

@@ -50,6 +50,33 @@ def test_tokens_and_diagnostics_are_put_together() -> None:
     )
 
 
+def test_agent_of_a_camera_that_the_site_file_does_not_have_is_named() -> None:
+    statuses = [DiagnosticStatus(0, f"edge/c{i}", "running", "", {}) for i in (1, 2)]
+    statuses += [DiagnosticStatus(2, "robot/r9", "no port", "", {})]
+    tokens = [f"lab/alive/{status.name}" for status in statuses]
+    site = summarise("lab", peers=0, tokens=tokens, statuses=statuses, known=["edge/c1"])
+    known, added, robot = site.nodes
+    assert (known.state, known.message) == ("ok", "running")
+    assert (added.state, robot.state) == ("warning", "error")
+    assert "the site file has no camera «c2»" in table(site, width=1000)
+    assert "no robot «r9», so others may leave it out" in robot.message
+    assert robot.message.endswith("; no port")
+
+
+def test_where_nobody_answers_nobody_is_said_to_be_missing() -> None:
+    site = summarise(
+        "lab",
+        peers=0,
+        tokens=[],
+        statuses=[],
+        wanted=["edge/c1"],
+        expect=["fusion"],
+        unreached=("tcp/127.0.0.1:7447",),
+    )
+    assert (site.nodes, site.is_well) == ([], False)
+    assert "nobody is heard: nobody answers at tcp/127.0.0.1:7447 (bus.connect)" in table(site)
+
+
 def test_rates_of_keys_are_added_up_for_people() -> None:
     values = {f"sent lab/camera/c{i}/pose.rate": "1.5" for i in (1, 2)} | {"pictures.rate": "5.0"}
     status = DiagnosticStatus(0, "fusion/fusion", "running", "", values)

@@ -69,6 +69,16 @@ def test_a_cameras_counters_have_names_units_and_labels() -> None:
     }
 
 
+def test_why_a_state_is_so_makes_no_series_of_its_own() -> None:
+    health = Health()
+    states = set()
+    for count in (3, 4):
+        health.describe("localisation", f"unknown: {count} agree, 10 are needed")
+        (labels, _) = samples("robot/r1", health)["trigpoint_localisation_state"]
+        states.add(labels["state"])
+    assert states == {"unknown"}
+
+
 def test_what_the_table_does_not_have_keeps_its_name_as_a_label() -> None:
     health = Health()
     health.count("sparks", 4)

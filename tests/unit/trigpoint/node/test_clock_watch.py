@@ -1,4 +1,4 @@
-"""Corrections are held while the clock is off by more than the odometry bears, and only then."""
+"""A clock that is off by more than is borne is told, which way and what for, and only then."""
 
 import json
 from collections.abc import Iterator
@@ -7,8 +7,8 @@ from contextlib import closing
 import pytest
 from support.builders import make_site
 
+from trigpoint.node.clock_watch import ClockOffset, ClockWatch
 from trigpoint.node.node import Node
-from trigpoint.robot.clock_watch import ClockOffset, ClockWatch
 from trigpoint.testing.memory_bus import MemoryBroker
 
 NOW_NS = 1_800_000_000_000_000_000
@@ -36,7 +36,9 @@ class Desk:
         self.bus, self.fusion = broker.session(), broker.session()
         self.now_ns, self.ahead_ns, self.way_ns = NOW_NS, 0, 0
         self.node = Node(self.bus, site="lab", kind="robot", name="r1")
-        self.watch = ClockWatch(self.bus, self.node, make_site(), lambda: self.now_ns, LIMIT_S)
+        self.watch = ClockWatch(
+            self.bus, self.node, make_site(), lambda: self.now_ns, LIMIT_S, "corrections are held"
+        )
         self.served = self.fusion.serve("lab/clock", self._answer)
 
     def _answer(self, _: bytes) -> bytes:
@@ -60,11 +62,19 @@ def test_clock_that_is_off_holds_until_it_is_set_right(desk: Desk) -> None:
     for _ in range(8):
         desk.watch.ask()
     assert desk.watch.is_off
-    assert "is +20.0 ms from fusion's" in desk.node.health.last_error
+    assert list(desk.node.health.held.values()) == [
+        "this machine's clock is 0.020 s behind fusion's, where 0.006 s are borne: corrections are "
+        "held; synchronise the clocks (trigpoint doctor)"
+    ]
     desk.ahead_ns = -1_000_000
     for _ in range(8):
         desk.watch.ask()
     assert not desk.watch.is_off
+    assert desk.node.health.held == {}
+    desk.ahead_ns = -2_000_000_000
+    for _ in range(8):
+        desk.watch.ask()
+    assert "is 2.000 s ahead of fusion's" in desk.node.health.last_error
 
 
 def test_slow_answer_does_not_hold_but_a_quick_one_tells(desk: Desk) -> None:

@@ -1,9 +1,7 @@
-"""Whether this machine's clock agrees with fusion's well enough for corrections.
+"""Whether this machine's clock agrees with fusion's, by asking it: certain to half a round trip.
 
-A correction is valid for one moment. If the clock of the robot's machine is off by δ, it is taken
-for the pose δ earlier or later, and so is wrong by speed times δ. Corrections are therefore held
-while the clock is certainly off by more than the robot's odometry can bear, beyond the uncertainty
-left by the round trip.
+What is stamped by a clock that is off by δ is taken for what was δ earlier or later, and so is
+wrong by the robot's speed times δ.
 """
 
 import json
@@ -19,6 +17,8 @@ from trigpoint.node.node import Node
 from trigpoint.node.watchdog import Pulse
 from trigpoint.site.config import Site
 
+CLOCK_IS_OFF = "clock offset"
+"""The name under which a health holds it."""
 _ASK_EVERY_S = 2.0
 _ANSWER_S = 1.0
 _KEPT = 8
@@ -37,13 +37,20 @@ class ClockOffset(Struct, frozen=True):
 
 
 class ClockWatch:
-    """A node's thread that asks fusion for its time. `now_ns`: Unix time by the odometry's stamps;
-    `limit_s`: the offset that the odometry can bear."""
+    """A node's thread that asks fusion for its time. `now_ns`: Unix time by the node's stamps;
+    `limit_s`: the offset that is borne; `harm`: what one beyond that does, in words."""
 
     def __init__(
-        self, bus: Bus, node: Node, site: Site, now_ns: Callable[[], int], limit_s: float
+        self,
+        bus: Bus,
+        node: Node,
+        site: Site,
+        now_ns: Callable[[], int],
+        limit_s: float,
+        harm: str,
     ) -> None:
-        self._bus, self._node, self._now_ns, self._limit_s = bus, node, now_ns, limit_s
+        self._bus, self._node, self._now_ns = bus, node, now_ns
+        self._limit_s, self._harm = limit_s, harm
         self._key = command_key(site.name, "clock")
         self._offsets: deque[ClockOffset] = deque(maxlen=_KEPT)
         self.is_off = False
@@ -75,14 +82,18 @@ class ClockWatch:
         self._judge()
 
     def _judge(self) -> None:
-        best = self._best
+        best, health = self._best, self._node.health
         self.is_off = best.exceeds(self._limit_s)
-        if self.is_off:
-            self._node.health.fail(
-                f"this machine's clock is {1e3 * best.offset_s:+.1f} ms from fusion's, and the "
-                f"robot's odometry bears {1e3 * self._limit_s:.1f} ms: corrections are held; "
-                "synchronise the clocks (trigpoint doctor)"
-            )
+        if not self.is_off:
+            health.release(CLOCK_IS_OFF)
+            return
+        side = "behind" if best.offset_s > 0 else "ahead of"
+        health.hold(
+            CLOCK_IS_OFF,
+            f"this machine's clock is {abs(best.offset_s):.3f} s {side} fusion's, where "
+            f"{self._limit_s:.3f} s are borne: {self._harm}; synchronise the clocks "
+            "(trigpoint doctor)",
+        )
 
 
 def _now_ns(reply: Reply) -> int | None:
