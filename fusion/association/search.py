@@ -51,12 +51,15 @@ _Pair = tuple[int | None, int]
 
 
 class Search:
-    """Searches the explanations of the visits of one graph; those that are left when the budget is
-    spent are taken to be wrong. `is_cut`: whether hypotheses were dropped for their number alone
-    although their scores were within `window()` of the best."""
+    """Searches the explanations of the visits of one graph. `is_cut`: whether hypotheses were
+    dropped for their number alone although their scores were within `window()` of the best; a
+    draft does not ask. Once that is so, or the budget is spent, nothing is decided any more, and
+    the visits that are left are taken to be wrong."""
 
-    def __init__(self, graph: Graph, events: Events, budget: Budget) -> None:
-        self.graph, self.events, self.budget = graph, events, budget
+    def __init__(
+        self, graph: Graph, events: Events, budget: Budget, *, is_draft: bool = False
+    ) -> None:
+        self.graph, self.events, self.budget, self.is_draft = graph, events, budget, is_draft
         self.visits, self.is_cut = graph.visits, False
         self.told = ToldMoves(graph)
         self._graphs = Minima(graph)
@@ -66,6 +69,10 @@ class Search:
             log_sum(graph.evidence(number).tolist()) + events.pose_score
             for number in range(len(self.visits))
         ]
+
+    @property
+    def is_given_up(self) -> bool:
+        return self.is_cut or self.budget.is_spent
 
     def explained(
         self,
@@ -87,8 +94,8 @@ class Search:
             hypotheses = self._pruned(grown)
             if not hypotheses:
                 return []
-            if trail is not None and not self.budget.is_spent:
-                trail.note(number + 1, hypotheses, is_cut=self.is_cut)
+            if trail is not None and not self.is_given_up:
+                trail.note(number + 1, hypotheses)
         return hypotheses
 
     def beginning(self) -> Hypothesis:
@@ -205,15 +212,16 @@ class Search:
             if hypothesis.score < best + _FAR_WINDOW:
                 far.setdefault(hypothesis.happening, hypothesis)
         dropped = near[_MOST_HYPOTHESES:]
-        self.is_cut |= bool(dropped) and dropped[0].score < best + window()
+        if dropped and not self.is_draft:
+            self.is_cut |= dropped[0].score < best + window()
         return near[:_MOST_HYPOTHESES] + list(far.values())[:_MOST_FAR]
 
     # -- one more visit ---------------------------------------------------------------------------
 
     def _with(self, hypotheses: list[Hypothesis], number: int) -> list[Hypothesis]:
-        """Return all hypotheses that add one more visit to one of these; once the budget is spent,
-        only the first of these with the visit wrong."""
-        if self.budget.is_spent:
+        """Return all hypotheses that add one more visit to one of these; once the search is given
+        up, only the first of these with the visit wrong."""
+        if self.is_given_up:
             return [self._wrong(hypotheses[0], number)]
         found: list[Hypothesis] = []
         joins: list[_Join] = []
