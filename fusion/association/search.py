@@ -83,18 +83,20 @@ class Search:
         trail: Trail | None = None,
     ) -> list[Hypothesis]:
         """Return the hypotheses that add these visits to one of `starts`, pruned after each visit,
-        best first. `wrong`: the visit all of whose sightings are taken to be wrong; `trail`: where
-        what is kept after each visit is noted."""
+        best first. `trail`: where what is kept after each visit is noted; `wrong`: the visit all of
+        whose sightings are taken to be wrong: then nothing is noted, and what is far behind the
+        search that left the trail is dropped too."""
         hypotheses = starts
         for number in numbers:
             if number == wrong:
                 grown = [self._wrong(before, number) for before in hypotheses]
             else:
                 grown = self._with(hypotheses, number)
-            hypotheses = self._pruned(grown)
+            known = np.inf if trail is None or wrong is None else trail.least(number + 1)
+            hypotheses = self._pruned(grown, known)
             if not hypotheses:
                 return []
-            if trail is not None and not self.is_given_up:
+            if trail is not None and wrong is None and not self.is_given_up:
                 trail.note(number + 1, hypotheses)
         return hypotheses
 
@@ -197,15 +199,17 @@ class Search:
                 moves.setdefault((visit.camera, place), number)
         return sorted({*lifts.values(), *moves.values()})
 
-    def _pruned(self, grown: list[Hypothesis]) -> list[Hypothesis]:
-        least = min(hypothesis.score for hypothesis in grown)
+    def _pruned(self, grown: list[Hypothesis], known: float) -> list[Hypothesis]:
+        """Return the hypotheses that are kept, best first. `known`: the score of one over the same
+        visits."""
+        least = min(known, *(hypothesis.score for hypothesis in grown))
         grown = [
             self._fresh(each) if each.is_stale else each
             for each in grown
             if each.score < least + _FAR_WINDOW
         ]
         grown.sort(key=lambda hypothesis: hypothesis.score)
-        best = grown[0].score
+        best = grown[0].score if grown else known
         near = [h for h in grown if h.score < best + _WINDOW]
         far: dict[object, Hypothesis] = {}
         for hypothesis in grown[len(near) :]:

@@ -39,9 +39,11 @@ class Trail:
         self.keys = keys
         self._stamps_ns = {robot: path.stamps_ns for robot, path in graph.paths.items()}
         self._stages: dict[int, _Stage] = {}
+        self._least: dict[int, float] = {}
 
     def note(self, count: int, hypotheses: list[Hypothesis]) -> None:
-        """Note what is kept after the first `count` visits."""
+        """Note what is kept after the first `count` visits, best first."""
+        self._least[count] = hypotheses[0].score
         kept = [
             (replace(each, placed=None), each.placed.layout, each.placed.poses)
             for each in hypotheses
@@ -51,6 +53,10 @@ class Trail:
         old = count - _LAST
         if old % _EVERY:
             self._stages.pop(old, None)
+
+    def least(self, count: int) -> float:
+        """Return the score of the best that was kept after so many visits; inf if not noted."""
+        return self._least.get(count, np.inf)
 
     def take_over(self, other: "Trail", count: int) -> None:
         """Take what another search kept after at most `count` visits, which are the same."""

@@ -96,18 +96,17 @@ class World:
         """Search the explanations of all visits, from where the search that left the trail `known`
         was the same, and leave the trail of this world; where one visit is taken to be `wrong`,
         leave none."""
-        trail = self.trail if wrong is None else None
         count, starts, self.search.is_cut = 0, list[Hypothesis](), False
         if known is not None and not self.budget.is_spent:
             same = known.same(self.trail.keys)
             count, kept = known.before(self.graph, same if wrong is None else wrong)
             starts = self.search.placed(kept)
-            if trail is not None:
-                trail.take_over(known, count)
+            if wrong is None:
+                self.trail.take_over(known, count)
         if not starts:
             count, starts = 0, [self.search.beginning()]
         numbers = range(count, len(self.visits))
-        return self.search.explained(starts, numbers, wrong=wrong, trail=trail)
+        return self.search.explained(starts, numbers, wrong=wrong, trail=self.trail)
 
     def _doubt_events(self) -> None:
         """Add alternatives to each event of the best explanation: the lift in another gap, and the
