@@ -52,8 +52,11 @@ def explain(
     for noise in noises:
         # Scores are comparable only over the same pictures: all worlds have the first one's visits.
         parts = [each.visit for each in worlds[0].visits] if worlds else None
-        worlds.append(World(data, seen, events, noise, memory, parts))
-    _verify(worlds)
+        worlds.append(World(data, seen, events, noise, memory, parts, is_draft=is_draft))
+        if worlds[-1].undecided:
+            break  # what the others find decides nothing
+    else:
+        _verify(worlds)
     memory.trails = [world.trail for world in worlds]
     memory.forget_unused()
     return Outcome(worlds, seen, corner_scale, undecided, is_draft=is_draft).explanation()

@@ -70,7 +70,6 @@ class Outcome:
         self.data = self.best.data
         self.loose = self._loose()
         self.undecided = undecided.union(*(world.undecided for world in worlds))
-        self.crowded = {camera for world in worlds for camera in world.crowded}
 
     def _loose(self) -> set[str]:
         """Cameras tied to the map only across a gap in which the robot may have been carried."""
@@ -110,8 +109,6 @@ class Outcome:
             return CameraFinding((), reason)
         if self.is_draft and is_placed(alternatives[0].covariance):
             return CameraFinding(alternatives[:1])
-        if camera in self.crowded:  # some of its alternatives may be missing
-            return CameraFinding(alternatives, _LATE)
         if len(alternatives) > 1:
             return CameraFinding(alternatives, _several_fit(alternatives))
         if not is_placed(next(iter(alternatives)).covariance):
@@ -133,7 +130,7 @@ class Outcome:
             camera = self.best.visits[n].visit.camera
             place = self.chosen.place_of(n)
             assert place is not None
-            if camera in self.undecided | self.crowded:
+            if camera in self.undecided:
                 continue
             last = self._last_place(camera)
             if place == last and not self._told_since(camera):

@@ -51,12 +51,15 @@ _Pair = tuple[int | None, int]
 
 
 class Search:
-    """Searches the explanations of the visits of one graph; those that are left when the budget is
-    spent are taken to be wrong. `is_cut`: whether hypotheses were dropped for their number alone
-    although their scores were within `window()` of the best."""
+    """Searches the explanations of the visits of one graph. `is_cut`: whether hypotheses were
+    dropped for their number alone although their scores were within `window()` of the best; a
+    draft does not ask. Once that is so, or the budget is spent, nothing is decided any more, and
+    the visits that are left are taken to be wrong."""
 
-    def __init__(self, graph: Graph, events: Events, budget: Budget) -> None:
-        self.graph, self.events, self.budget = graph, events, budget
+    def __init__(
+        self, graph: Graph, events: Events, budget: Budget, *, is_draft: bool = False
+    ) -> None:
+        self.graph, self.events, self.budget, self.is_draft = graph, events, budget, is_draft
         self.visits, self.is_cut = graph.visits, False
         self.told = ToldMoves(graph)
         self._graphs = Minima(graph)
@@ -67,6 +70,10 @@ class Search:
             for number in range(len(self.visits))
         ]
 
+    @property
+    def is_given_up(self) -> bool:
+        return self.is_cut or self.budget.is_spent
+
     def explained(
         self,
         starts: list[Hypothesis],
@@ -76,19 +83,21 @@ class Search:
         trail: Trail | None = None,
     ) -> list[Hypothesis]:
         """Return the hypotheses that add these visits to one of `starts`, pruned after each visit,
-        best first. `wrong`: the visit all of whose sightings are taken to be wrong; `trail`: where
-        what is kept after each visit is noted."""
+        best first. `trail`: where what is kept after each visit is noted; `wrong`: the visit all of
+        whose sightings are taken to be wrong: then nothing is noted, and what is far behind the
+        search that left the trail is dropped too."""
         hypotheses = starts
         for number in numbers:
             if number == wrong:
                 grown = [self._wrong(before, number) for before in hypotheses]
             else:
                 grown = self._with(hypotheses, number)
-            hypotheses = self._pruned(grown)
+            known = np.inf if trail is None or wrong is None else trail.least(number + 1)
+            hypotheses = self._pruned(grown, known)
             if not hypotheses:
                 return []
-            if trail is not None and not self.budget.is_spent:
-                trail.note(number + 1, hypotheses, is_cut=self.is_cut)
+            if trail is not None and wrong is None and not self.is_given_up:
+                trail.note(number + 1, hypotheses)
         return hypotheses
 
     def beginning(self) -> Hypothesis:
@@ -190,30 +199,33 @@ class Search:
                 moves.setdefault((visit.camera, place), number)
         return sorted({*lifts.values(), *moves.values()})
 
-    def _pruned(self, grown: list[Hypothesis]) -> list[Hypothesis]:
-        least = min(hypothesis.score for hypothesis in grown)
+    def _pruned(self, grown: list[Hypothesis], known: float) -> list[Hypothesis]:
+        """Return the hypotheses that are kept, best first. `known`: the score of one over the same
+        visits."""
+        least = min(known, *(hypothesis.score for hypothesis in grown))
         grown = [
             self._fresh(each) if each.is_stale else each
             for each in grown
             if each.score < least + _FAR_WINDOW
         ]
         grown.sort(key=lambda hypothesis: hypothesis.score)
-        best = grown[0].score
+        best = grown[0].score if grown else known
         near = [h for h in grown if h.score < best + _WINDOW]
         far: dict[object, Hypothesis] = {}
         for hypothesis in grown[len(near) :]:
             if hypothesis.score < best + _FAR_WINDOW:
                 far.setdefault(hypothesis.happening, hypothesis)
         dropped = near[_MOST_HYPOTHESES:]
-        self.is_cut |= bool(dropped) and dropped[0].score < best + window()
+        if dropped and not self.is_draft:
+            self.is_cut |= dropped[0].score < best + window()
         return near[:_MOST_HYPOTHESES] + list(far.values())[:_MOST_FAR]
 
     # -- one more visit ---------------------------------------------------------------------------
 
     def _with(self, hypotheses: list[Hypothesis], number: int) -> list[Hypothesis]:
-        """Return all hypotheses that add one more visit to one of these; once the budget is spent,
-        only the first of these with the visit wrong."""
-        if self.budget.is_spent:
+        """Return all hypotheses that add one more visit to one of these; once the search is given
+        up, only the first of these with the visit wrong."""
+        if self.is_given_up:
             return [self._wrong(hypotheses[0], number)]
         found: list[Hypothesis] = []
         joins: list[_Join] = []

@@ -25,11 +25,10 @@ _LAST, _EVERY = 48, 8
 
 class _Stage(Struct, frozen=True):
     """What was kept after some visits: hypotheses without their graphs, and of each of these the
-    layout and the poses; by robot, when its nodes were; whether some were cut (`Search`)."""
+    layout and the poses; by robot, when its nodes were."""
 
     kept: list[tuple[Hypothesis, Layout, Array]]
     stamps_ns: dict[str, np.ndarray]
-    is_cut: bool
 
 
 class Trail:
@@ -40,18 +39,24 @@ class Trail:
         self.keys = keys
         self._stamps_ns = {robot: path.stamps_ns for robot, path in graph.paths.items()}
         self._stages: dict[int, _Stage] = {}
+        self._least: dict[int, float] = {}
 
-    def note(self, count: int, hypotheses: list[Hypothesis], *, is_cut: bool) -> None:
-        """Note what is kept after the first `count` visits."""
+    def note(self, count: int, hypotheses: list[Hypothesis]) -> None:
+        """Note what is kept after the first `count` visits, best first."""
+        self._least[count] = hypotheses[0].score
         kept = [
             (replace(each, placed=None), each.placed.layout, each.placed.poses)
             for each in hypotheses
             if each.placed is not None
         ]
-        self._stages[count] = _Stage(kept, self._stamps_ns, is_cut)
+        self._stages[count] = _Stage(kept, self._stamps_ns)
         old = count - _LAST
         if old % _EVERY:
             self._stages.pop(old, None)
+
+    def least(self, count: int) -> float:
+        """Return the score of the best that was kept after so many visits; inf if not noted."""
+        return self._least.get(count, np.inf)
 
     def take_over(self, other: "Trail", count: int) -> None:
         """Take what another search kept after at most `count` visits, which are the same."""
@@ -65,16 +70,14 @@ class Trail:
             min(len(self.keys), len(keys)),
         )
 
-    def before(
-        self, graph: Graph, count: int
-    ) -> tuple[int, list[tuple[Hypothesis, Variant]], bool]:
-        """Return after how many visits, at most `count`, something was noted, the hypotheses that
-        were kept then, as graphs of another search yet to be solved, and whether some were cut."""
+    def before(self, graph: Graph, count: int) -> tuple[int, list[tuple[Hypothesis, Variant]]]:
+        """Return after how many visits, at most `count`, something was noted, and the hypotheses
+        that were kept then, as graphs of another search yet to be solved."""
         last = max((n for n in self._stages if n <= count), default=0)
         if not last:
-            return 0, [], False
+            return 0, []
         stage = self._stages[last]
-        return last, [_variant(graph, stage.stamps_ns, *each) for each in stage.kept], stage.is_cut
+        return last, [_variant(graph, stage.stamps_ns, *each) for each in stage.kept]
 
 
 def _variant(

@@ -32,8 +32,8 @@ class World:
     """All hypotheses that may explain the session under one model of its noise.
 
     `parts`: the visits as another world cut them; None: they are cut here. `undecided`: the cameras
-    for which the budget did not suffice to search all alternatives; `crowded`: those that may have
-    more places than `verify` kept.
+    for which not all alternatives were searched: the budget was spent or, but in a draft, there
+    were too many.
     """
 
     def __init__(
@@ -44,6 +44,8 @@ class World:
         noise: SessionNoise,
         memory: Memory,
         parts: list[Visit] | None = None,
+        *,
+        is_draft: bool = False,
     ) -> None:
         self.observations, self.noise, self.events = observations, noise, events
         self.data = data = with_noise(data, noise.by_robot)
@@ -55,13 +57,12 @@ class World:
         self.visits = sorted(found, key=lambda part: (part.visit.stamp_ns, part.visit.camera))
         self.graph = Graph(data, self.visits, events)
         self.budget = memory.budget
-        self.search = Search(self.graph, events, self.budget)
+        self.search = Search(self.graph, events, self.budget, is_draft=is_draft)
         keys = [(finder.key(v.visit), *data.told, *data.known.poses) for v in self.visits]
         known = max(memory.trails, key=lambda trail: trail.same(keys), default=None)
         self.trail = Trail(self.graph, keys)
         self.hypotheses = self._searched(known)
-        self.undecided = self._cameras() if self.budget.is_spent else set()
-        self.crowded = set[str]()
+        self.undecided = self._cameras() if self.search.is_given_up else set()
 
     @property
     def score(self) -> float:
@@ -70,11 +71,8 @@ class World:
 
     def verify(self) -> None:
         """Add the alternatives to the best hypothesis that the search alone may have pruned."""
-        is_crowded = self.search.is_cut
-        is_crowded |= self._doubt_events()
-        if is_crowded:
-            self.crowded = self._cameras()
-        if self.budget.is_spent:
+        self._doubt_events()
+        if self.search.is_given_up:
             self.undecided = self._cameras()
         else:
             self._verify_cameras()
@@ -98,37 +96,31 @@ class World:
         """Search the explanations of all visits, from where the search that left the trail `known`
         was the same, and leave the trail of this world; where one visit is taken to be `wrong`,
         leave none."""
-        trail = self.trail if wrong is None else None
         count, starts, self.search.is_cut = 0, list[Hypothesis](), False
         if known is not None and not self.budget.is_spent:
             same = known.same(self.trail.keys)
-            count, kept, is_cut = known.before(self.graph, same if wrong is None else wrong)
-            starts, self.search.is_cut = self.search.placed(kept), is_cut
-            if trail is not None:
-                trail.take_over(known, count)
+            count, kept = known.before(self.graph, same if wrong is None else wrong)
+            starts = self.search.placed(kept)
+            if wrong is None:
+                self.trail.take_over(known, count)
         if not starts:
             count, starts = 0, [self.search.beginning()]
         numbers = range(count, len(self.visits))
-        return self.search.explained(starts, numbers, wrong=wrong, trail=trail)
+        return self.search.explained(starts, numbers, wrong=wrong, trail=self.trail)
 
-    def _doubt_events(self) -> bool:
+    def _doubt_events(self) -> None:
         """Add alternatives to each event of the best explanation: the lift in another gap, and the
         session with the visit that shows the event first taken as wrong. The search alone prunes
-        these, since it meets what an event costs later too late. Return whether more such
-        explanations than are kept may count."""
-        doubted, is_crowded = set[int](), False
-        while not self.budget.is_spent:
+        these, since it meets what an event costs later too late."""
+        doubted = set[int]()
+        while not self.search.is_given_up:
             self._add(self.search.lifted_elsewhere(self.hypotheses[0]))
             doubts = set(self.search.first_after_events(self.hypotheses[0])) - doubted
             if not doubts:
                 break
             number = min(doubts)
             doubted.add(number)
-            found = self._searched(self.trail, wrong=number)
-            self._add(found)
-            counts = any(each.score < self.hypotheses[0].score + window() for each in found)
-            is_crowded |= self.search.is_cut and counts
-        return is_crowded
+            self._add(self._searched(self.trail, wrong=number))
 
     def _add(self, found: list[Hypothesis]) -> None:
         """Add those of these hypotheses that are new, keeping all that count sorted by score: each
@@ -140,8 +132,8 @@ class World:
 
     def _verify_cameras(self) -> None:
         """For each camera of the best explanation that is not settled, search everything else that
-        its visits may be. If the budget does not suffice, all cameras not verified yet are
-        undecided, those with only one visit included."""
+        its visits may be: too much, and it is undecided. If the budget does not suffice, all
+        cameras not verified yet are undecided, those with only one visit included."""
         best = self.hypotheses[0]
         verified = self._settled_cameras()
         cameras = dict.fromkeys(v.visit.camera for v in self.visits)
@@ -155,7 +147,7 @@ class World:
             self.search.is_cut = False
             found = self.search.explained([rest], mine)
             if self.search.is_cut:
-                self.crowded.add(camera)
+                self.undecided.add(camera)
             if self.budget.is_spent:
                 self.undecided |= cameras.keys() - verified
                 break

@@ -1,5 +1,7 @@
 """What a session is given up for is left open, and nothing else changes."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 from msgspec.structs import replace
@@ -9,6 +11,7 @@ from trigpoint.fusion.association import engine, search
 from trigpoint.fusion.association.budget import Budget
 from trigpoint.fusion.association.engine import explain
 from trigpoint.fusion.association.explanation import Explanation
+from trigpoint.fusion.association.graph import Placed, Variant
 from trigpoint.fusion.association.learning import SessionNoise, learnt_noise
 from trigpoint.fusion.association.world import World
 from trigpoint.fusion.model.dataset import DataSet
@@ -112,7 +115,17 @@ def test_what_more_explanations_hold_than_are_kept_is_left_open(
 ) -> None:
     came = data_of(Shape(2, (0, 1, 0, 1), is_alike=False, lift=2))
     assert not any("not decided" in f.reason for f in explain(*came).findings.values())
+    graphs: list[bool] = []
+
+    def noting(self: search.Search, variants: Sequence[Variant]) -> list[Placed | None]:
+        graphs.append(self.is_cut)
+        return minima(self, variants)
+
+    minima = search.Search._minima
+    monkeypatch.setattr(search.Search, "_minima", noting)
     monkeypatch.setattr(search, "_MOST_HYPOTHESES", 1)
     narrow = explain(*came)
     assert all("not decided in time" in f.reason for f in narrow.findings.values())
     assert not narrow.places
+    assert graphs
+    assert not any(graphs)  # what is found once some are missing decides nothing

@@ -4,10 +4,11 @@ import pytest
 from support.oracle.sessions import Shape, graph_of
 
 from trigpoint.fusion.association.budget import Budget
-from trigpoint.fusion.association.events import Events
+from trigpoint.fusion.association.events import Events, window
 from trigpoint.fusion.association.graph import Tie, Variant
 from trigpoint.fusion.association.hypothesis import Hypothesis
 from trigpoint.fusion.association.search import Search
+from trigpoint.fusion.association.trail import Trail
 
 
 @pytest.fixture(scope="module")
@@ -39,3 +40,18 @@ def test_visit_that_is_taken_to_be_wrong_explains_nothing(search: Search) -> Non
     assert not best.nothing
     assert all(2 in each.nothing for each in without)
     assert without[0].score > best.score
+
+
+def test_doubt_is_followed_while_it_is_not_far_behind_the_search_without_it(
+    search: Search, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    numbers, trail = range(4), Trail(search.graph, range(4))
+    best = search.explained([search.beginning()], numbers, trail=trail)[0]
+    assert trail.least(4) == best.score
+    alone = search.explained([search.beginning()], numbers, wrong=2)
+    assert alone[0].score > best.score + 6 * window()
+    assert not search.explained([search.beginning()], numbers, wrong=2, trail=trail)
+    assert trail.least(4) == best.score
+    monkeypatch.setattr(Trail, "least", lambda *_: alone[0].score - 5 * window())
+    found = search.explained([search.beginning()], numbers, wrong=2, trail=trail)
+    assert found[0].score == pytest.approx(alone[0].score)
