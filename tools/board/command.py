@@ -99,6 +99,7 @@ class BoardService:
 
     def run(self, port: int, bus: Bus | None = None) -> None:
         """Serve until stopped; `bus`: the open one, else the site's is opened."""
+        self._reader.begin()  # from the first answer on there is a state, and a past
         with served(self._board.app, self._access, port) as address:
             typer.echo(f"open in a browser: {address}")
             try:

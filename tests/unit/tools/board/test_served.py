@@ -18,6 +18,7 @@ from trigpoint.contract import topics
 from trigpoint.contract.messages import Picture
 from trigpoint.contract.topics import command_key
 from trigpoint.tools.board.feed import MOST_PAGES
+from trigpoint.tools.board.reader import Reader
 from trigpoint.tools.web import serving
 
 State = dict[str, Any]
@@ -92,6 +93,12 @@ def test_events_are_packed_where_the_browser_takes_it(desk: Desk) -> None:
     connection.close()
     first = unpacked.split(b"data: ")[1].partition(b"\n")[0]
     assert json.loads(first)["all"]["site"]["name"] == "lab"
+
+
+def test_there_is_a_past_from_the_first_answer_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Reader, "run", lambda _, bus, stopping: bus and stopping.wait(10))
+    with served_board(make_site(), monkeypatch) as desk:
+        assert desk.ask("/past?at=1").status == 200
 
 
 def test_the_past_is_what_was(desk: Desk, site: BoardSite) -> None:
