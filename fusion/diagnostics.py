@@ -25,7 +25,9 @@ _TOLD_NS = to_ns(5.0)
 """For how long a problem is reported after the last message that was left out for it."""
 _BACKLOG = "late "
 """The problem that what waited for odometry, for a link or for this program's start has too: it is
-told only where it lasts, since then nothing comes in time."""
+told only where it lasts, or comes again, since then nothing comes in time."""
+_AGAIN_NS = to_ns(300.0)
+"""For how long that it came is remembered: a robot may pass a camera now and then, for seconds."""
 
 
 class _Told(Struct):
@@ -56,7 +58,8 @@ class Diagnostics:
         """Note that the pipeline is a new one, whose counts start at zero."""
         self._reported.clear()
         self._reported.update(self._admission.counts)
-        self._told.clear()
+        own = self._admission.problems  # which go on
+        self._told = {name: told for name, told in self._told.items() if name in own}
         self._stale_since_ns.clear()
         self._seen.clear()
 
@@ -101,9 +104,9 @@ class Diagnostics:
 
     def _is_now(self, name: str, count: int, now_ns: int) -> bool:
         """Whether a problem was there again in the last seconds, and is more than a backlog."""
-        told = self._told.setdefault(name, _Told(0, now_ns, now_ns - _TOLD_NS))
+        told = self._told.setdefault(name, _Told(0, now_ns, now_ns - _AGAIN_NS))
         if count != told.count:
-            if now_ns - told.grown_ns >= _TOLD_NS:
+            if now_ns - told.grown_ns >= _AGAIN_NS:
                 told.since_ns = now_ns
             told.count, told.grown_ns = count, now_ns
         is_lasting = told.grown_ns - told.since_ns >= _STALE_NS

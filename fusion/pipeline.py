@@ -101,7 +101,8 @@ class Pipeline:
     @property
     def notes(self) -> list[str]:
         """What a user should know of the session, as text: each event (at most the last hundred),
-        the last problem with messages for each reason, what they lacked, and what is in doubt."""
+        the last problem with messages for each reason and sender, what they lacked, and what is in
+        doubt."""
         events = [event.text for event in self._left_out.events]
         problems = [problem.text for problem in self.problems.values()]
         return [*events, *problems, *self.arrivals.notes]
@@ -315,9 +316,10 @@ class Pipeline:
             return
         update = self._estimator.add_observation(observation)
         if update.problem:
-            self._left_out.add("unusable", update.problem)
+            self._left_out.add("unusable", update.problem, of=observation.camera)
         if update.contradiction is not None:
-            self._left_out.add("against_the_map", update.contradiction)
+            text, camera = update.contradiction, observation.camera
+            self._left_out.add("against_the_map", text, of=camera)
         self._left_out.take_from(self._data)
         if update.correction is not None and not is_late:
             self._correct(observation, update.correction)

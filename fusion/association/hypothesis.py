@@ -2,7 +2,7 @@
 
 from msgspec import Struct, field
 
-from .graph import Break, Placed, Tie, Variant
+from .graph import Break, Graph, Place, Placed, Tie, Variant
 
 
 class Hypothesis(Struct, frozen=True):
@@ -51,3 +51,17 @@ class Hypothesis(Struct, frozen=True):
     def variant(self, breaks: frozenset[Break]) -> Variant:
         """Return the graph of this hypothesis with these breaks, yet to be solved."""
         return Variant(self.ties, self.nothing, breaks, self.placed)
+
+    def first_after_events(self, graph: Graph) -> list[int]:
+        """Return the numbers of the visits that are the first after an event: of a robot after it
+        was lifted, or of a camera after it was moved."""
+        lifts: dict[Break, int] = {}
+        moves: dict[Place, int] = {}
+        for number in sorted([*self.ties, *self.open]):
+            visit, node = graph.visits[number].visit, graph.node_of[number]
+            for robot, gap in self.breaks:
+                if robot == visit.robot and node > gap:
+                    lifts.setdefault((robot, gap), number)
+            if place := self.place_of(number):
+                moves.setdefault((visit.camera, place), number)
+        return sorted({*lifts.values(), *moves.values()})

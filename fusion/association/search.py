@@ -52,9 +52,9 @@ _Pair = tuple[int | None, int]
 
 class Search:
     """Searches the explanations of the visits of one graph. `is_cut`: whether hypotheses were
-    dropped for their number alone although their scores were within `window()` of the best; a
-    draft does not ask. Once that is so, or the budget is spent, nothing is decided any more, and
-    the visits that are left are taken to be wrong."""
+    dropped for their number alone although their scores were within `window()` of the best that is
+    known of the same visits; a draft does not ask. Once that is so, or the budget is spent, a
+    search decides nothing, and the visits that are left are taken to be wrong."""
 
     def __init__(
         self, graph: Graph, events: Events, budget: Budget, *, is_draft: bool = False
@@ -185,20 +185,6 @@ class Search:
         ]
         return self.placed(wanted) if wanted else []
 
-    def first_after_events(self, hypothesis: Hypothesis) -> list[int]:
-        """Return the numbers of the visits that are the first after an event: of a robot after it
-        was lifted, or of a camera after it was moved."""
-        lifts: dict[Break, int] = {}
-        moves: dict[Place, int] = {}
-        for number in sorted([*hypothesis.ties, *hypothesis.open]):
-            visit, node = self.visits[number].visit, self.graph.node_of[number]
-            for robot, gap in hypothesis.breaks:
-                if robot == visit.robot and node > gap:
-                    lifts.setdefault((robot, gap), number)
-            if place := hypothesis.place_of(number):
-                moves.setdefault((visit.camera, place), number)
-        return sorted({*lifts.values(), *moves.values()})
-
     def _pruned(self, grown: list[Hypothesis], known: float) -> list[Hypothesis]:
         """Return the hypotheses that are kept, best first. `known`: the score of one over the same
         visits."""
@@ -215,9 +201,9 @@ class Search:
         for hypothesis in grown[len(near) :]:
             if hypothesis.score < best + _FAR_WINDOW:
                 far.setdefault(hypothesis.happening, hypothesis)
-        dropped = near[_MOST_HYPOTHESES:]
-        if dropped and not self.is_draft:
-            self.is_cut |= dropped[0].score < best + window()
+        if not self.is_draft:
+            within = min(known, best) + window()
+            self.is_cut |= any(h.score < within for h in near[_MOST_HYPOTHESES:][:1])
         return near[:_MOST_HYPOTHESES] + list(far.values())[:_MOST_FAR]
 
     # -- one more visit ---------------------------------------------------------------------------

@@ -115,7 +115,7 @@ class World:
         doubted = set[int]()
         while not self.search.is_given_up:
             self._add(self.search.lifted_elsewhere(self.hypotheses[0]))
-            doubts = set(self.search.first_after_events(self.hypotheses[0])) - doubted
+            doubts = set(self.hypotheses[0].first_after_events(self.graph)) - doubted
             if not doubts:
                 break
             number = min(doubts)

@@ -32,6 +32,7 @@ _TAKEOVER_NS = to_ns(1.0)
 _REMEMBERED_NS = to_ns(5.0)
 """For how long a sender, or a conflict of two under one name, is remembered."""
 _MOST_SENDERS = 8
+_MOST_SHOWN = 100  # letters of a key
 
 
 class Budget:
@@ -107,7 +108,7 @@ class Admission:
         if key in self._budgets:
             return True
         self.counts["unknown_sender"] += 1
-        self._unknown = key
+        self._unknown = key if len(key) <= _MOST_SHOWN else f"{key[:_MOST_SHOWN]}…"
         return False
 
     @property

@@ -140,6 +140,10 @@ class DataSet(Struct):
         return self.known.at(self.begin_ns)
 
     @property
+    def has_odometry(self) -> bool:
+        return any(len(track) for track in self.tracks.values())
+
+    @property
     def last_ns(self) -> int:
         """The stamp of the newest odometry message of any robot; 0 before the first."""
         return max((track.last_ns for track in self.tracks.values() if len(track)), default=0)

@@ -50,7 +50,7 @@ class KalmanFilterState(KalmanState, frozen=True):
         before odometry nothing."""
         filter_state = cls({}, {}, {}, {}, {}, {}, np.zeros((0, 0)))
         if data.known.poses:
-            return filter_state.with_known_cameras(data) if data.begin_ns else filter_state
+            return filter_state.with_known_cameras(data) if data.has_odometry else filter_state
         robot = data.anchored_robot
         assert robot is not None  # no camera is known
         track = data.tracks[robot]

@@ -98,7 +98,7 @@ class ParticleFilterState(Particles, frozen=True):
         before odometry nothing."""
         filter_state = cls(data.site.fusion.seed)
         if data.known.poses:
-            return filter_state._with_known(data) if data.begin_ns else filter_state
+            return filter_state._with_known(data) if data.has_odometry else filter_state
         robot = data.anchored_robot
         assert robot is not None  # no camera is known
         track = data.tracks[robot]

@@ -177,9 +177,12 @@ def test_sightings_that_waited_are_no_clock_that_is_off_but_lasting_ones_are(
 
     assert [told(second, is_late=second == 1) for second in range(1, 9)] == ["running"] * 8
     assert pipeline.left_out["late"] == 1
-    lasting = [told(second, is_late=True) for second in range(20, 26)]
+    lasting = [told(second, is_late=True) for second in range(400, 406)]
     assert "sightings of c1 come over 1 s late" in lasting[-1]
     assert lasting[1] == "running"
+    assert told(420, is_late=False) == "running"
+    # The robot passes again.
+    assert "sightings of c1 come over 1 s late" in told(450, is_late=True)
 
 
 def test_clock_in_doubt_is_said_by_fusion(charuco: Session) -> None:
@@ -199,3 +202,5 @@ def test_whom_the_site_file_does_not_have_is_named_while_it_sends(charuco: Sessi
     text = diagnostics.now(pipeline, to_ns(1.0))["unknown_sender"]
     assert "does not have who sends lab/camera/c7/sightings; add it there" in text
     assert diagnostics.now(pipeline, to_ns(10.0)) == {}
+    diagnostics.restart()  # a new map: nobody has sent anything since
+    assert diagnostics.now(pipeline, to_ns(20.0)) == {}

@@ -22,7 +22,7 @@ def test_lift_is_tried_in_every_other_gap(search: Search) -> None:
     ties = {0: Tie(0, 0), 2: Tie(0, 0), 3: Tie(0, 0)}
     variant = Variant(ties, frozenset(), frozenset({("r1", 2)}))
     (lifted,) = search.placed([(Hypothesis(open={1: 0}), variant)])
-    assert search.first_after_events(lifted) == [2]
+    assert lifted.first_after_events(search.graph) == [2]
     others = search.lifted_elsewhere(lifted)
     assert {gap for each in others for _, gap in each.breaks} == {0, 1, 3}
     assert all(each.ties == ties and len(each.breaks) == 1 for each in others)
@@ -30,7 +30,7 @@ def test_lift_is_tried_in_every_other_gap(search: Search) -> None:
 
 def test_moved_camera_is_shown_first_by_the_visit_at_its_new_place(search: Search) -> None:
     ties = {2: Tie(0, 1), 3: Tie(0, 1)}
-    assert search.first_after_events(Hypothesis(ties, open={0: 0, 1: 0})) == [2]
+    assert Hypothesis(ties, open={0: 0, 1: 0}).first_after_events(search.graph) == [2]
 
 
 def test_visit_that_is_taken_to_be_wrong_explains_nothing(search: Search) -> None:

@@ -105,7 +105,20 @@ def test_camera_that_was_moved_makes_no_wrong_correction_and_is_said(
     assert errors([m for _, m in told], truth_of(session))[1].max() < FAR
     assert len(told) > 15  # by the two others
     assert pipeline.left_out["against_the_map"] > 3
-    assert "camera c2 sees r1 elsewhere" in pipeline.problems["against_the_map"].text
+    assert "camera c2 sees r1 elsewhere" in pipeline.problems["against_the_map c2"].text
+
+
+def test_each_camera_that_contradicts_the_map_is_named(drive: Session, fixed: FixedNetwork) -> None:
+    pipeline = Pipeline(drive.inputs, fixed=fixed)
+    first_ns = drive.messages[0][1].stamp_ns  # pyright: ignore
+    for camera in ("c2", "c3"):
+        nudge = Nudge(camera, first_ns - to_ns(1.0), first_ns)
+        status = DiagnosticStatus(0, f"edge/{camera}", "", "host", {NUDGED: nudge.value})
+        pipeline.push("", Diagnostics(first_ns, (status,)))
+    corrections(pipeline, drive.messages)
+    for camera in ("c2", "c3"):
+        said = pipeline.problems[f"against_the_map {camera}"].text
+        assert f"camera {camera} noticed that it was moved" in said
 
 
 def test_camera_that_says_that_it_was_moved_makes_no_correction(
@@ -122,7 +135,7 @@ def test_camera_that_says_that_it_was_moved_makes_no_correction(
     assert "c2" in before
     assert after
     assert "c2" not in after
-    assert "camera c2 noticed that it was moved" in pipeline.problems["against_the_map"].text
+    assert "camera c2 noticed that it was moved" in pipeline.problems["against_the_map c2"].text
     assert list(pipeline.nudges.open) == ["c2"]
     assert "until the map is learnt anew" in pipeline.nudges.open["c2"]
 
@@ -141,7 +154,7 @@ def test_robot_that_began_before_a_moved_camera_is_found_out_by_the_others(
     told = [m for _, m in corrections(pipeline, messages[until:])]
     assert errors(told, truth_of(session))[1].max() < FAR
     assert len(told) > 10
-    assert "camera c1 sees r1 elsewhere" in pipeline.problems["against_the_map"].text
+    assert "camera c1 sees r1 elsewhere" in pipeline.problems["against_the_map c1"].text
 
 
 def test_lifted_robot_is_corrected_again_once_two_cameras_agree(
