@@ -80,7 +80,7 @@ def watching(port: int) -> Iterator[Iterator[Frame]]:
     url, stopping = f"rtsp://127.0.0.1:{port}/live", threading.Event()
     source = RtspFrames(url, CameraConfig(url, rate=15.0), clock=SystemClock())
     try:
-        yield iter(source.frames(stopping))
+        yield (frame for frame in source.frames(stopping) if isinstance(frame, Frame))
     finally:
         stopping.set()
         source.close()

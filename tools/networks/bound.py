@@ -27,7 +27,7 @@ def session_bound(recording: Recording, inputs: Inputs, folder: Path) -> Bound:
     """
     truth = load_truth(folder / "truth.json")
     data = DataSet(inputs.site, inputs.targets, dict(inputs.lenses), inputs.known)
-    intake = Intake(inputs.site, inputs.targets)
+    intake = Intake(data)
     for node, message in messages_of(recording).in_order:
         if isinstance(message, CameraInfo):
             data.lenses.setdefault(node, message.camera)

@@ -155,8 +155,8 @@ def test_a_source_of_pictures_of_ones_own_is_opened_by_its_scheme(
         stopping.set()
         assert next(frames, None) is None
         server.shutdown()
-    assert first is not None
-    assert second is not None
+    assert isinstance(first, tp.plugins.Frame)
+    assert isinstance(second, tp.plugins.Frame)
     assert first.picture.shape == (480, 640)
     assert first.captured_ns < second.captured_ns
 
