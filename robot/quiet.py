@@ -131,7 +131,7 @@ class CorrectionWatch:
         return (
             self._node.health.held.get(CLOCK_IS_OFF)
             or self._bridge.refusal
-            or f"those that come wait; its place is {self._bridge.state}"
+            or "the first is being judged"
         )
 
     def _why_none_comes(self, away_s: float | None) -> str:

@@ -5,15 +5,19 @@ from uuid import uuid4
 
 import numpy as np
 import pytest
+from support.builders import make_site
 
 from trigpoint.base.clock import ManualClock, to_ns
+from trigpoint.bus.bus import Sample
 from trigpoint.contract.correction import CorrectionMark
 from trigpoint.contract.messages import PoseEstimate
+from trigpoint.contract.topics import CORRECTION
 from trigpoint.geometry import Pose
 from trigpoint.node.clock_watch import CLOCK_IS_OFF
 from trigpoint.node.health import Health
 from trigpoint.robot.bridge import Bridge
-from trigpoint.robot.line.protocol import Connected, Damaged, DamageKind, Event
+from trigpoint.robot.corrections import Corrections
+from trigpoint.robot.line.protocol import Acknowledged, Connected, Damaged, DamageKind, Event
 from trigpoint.robot.odometry.stamps import Offset
 from trigpoint.robot.quiet import CorrectionWatch, OdometryWatch, why_nothing
 from trigpoint.site.config import RobotConfig
@@ -118,7 +122,7 @@ def test_what_keeps_corrections_from_a_robot_is_what_is_told() -> None:
     assert "no corrections for 11 s: fusion says: sightings of c2 come over" in words(health)
     health.count(f"received {KEY}")  # they come, and none is taken: why, the bridge itself knows
     watch.look(to_ns(13.0))
-    assert "for 12 s: those that come wait; its place is unknown" in words(health)
+    assert "for 12 s: the first is being judged" in words(health)
     health.count(f"received {KEY}")
     at = PoseEstimate(10**18, "map", Pose.planar(1.0, 2.0, 0.5), np.eye(6))
     made.on_correction(at, CorrectionMark(uuid4(), 1), 0)
@@ -128,6 +132,24 @@ def test_what_keeps_corrections_from_a_robot_is_what_is_told() -> None:
     health.count(f"received {KEY}")
     watch.look(to_ns(15.0))
     assert "for 14 s: this machine's clock is 2.000 s ahead" in words(health)
+
+
+def test_refusal_is_that_of_the_last_correction_whoever_refused_it() -> None:
+    health = Health(ManualClock())
+    made = bridge(health)
+    at = PoseEstimate(10**18, "map", Pose.planar(1.0, 2.0, 0.5), np.eye(6))
+    made.on_correction(at, CorrectionMark(uuid4(), 1), 0)
+    assert made.refusal == "the robot is not connected"
+    corrections = Corrections(make_site(), made, health, ManualClock(), lambda _: None)
+    corrections.take(Sample(KEY, b"garbage", CORRECTION.encoding, 0, 0))
+    watch = CorrectionWatch("r1", made, Listener(health, 0.5), KEY)
+    watch.look(to_ns(1.0))
+    health.count(f"received {KEY}")
+    watch.look(to_ns(12.0))
+    assert "no corrections for 11 s: the last was rejected: " in words(health)
+    made.on_event(Acknowledged(1, False, "too old", 10**6))
+    watch.look(to_ns(13.0))
+    assert "for 12 s: robot r1 refused a correction: too old;" in words(health)
 
 
 def words(health: Health) -> str:
