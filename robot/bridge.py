@@ -153,7 +153,7 @@ class Bridge:
 
     @property
     def refusal(self) -> str:
-        """Why the last correction was not handed on, "" where it was, or waits for others."""
+        """Why the last correction is not taken, or not yet; "" where it is, or none came."""
         return self._refusal
 
     @property
@@ -254,6 +254,11 @@ class Bridge:
                 return self._refuse_by(verdict)
             return self._hand_on(mark, verdict)
 
+    def pass_over(self, why: str) -> None:
+        """Take note of a correction that is not even judged."""
+        with self._lock:
+            self._refusal = why
+
     def _read(self, reading: Reading) -> Odometry | None:
         stamp_ns = self._stamps.of(reading)
         if stamp_ns is None:
@@ -318,9 +323,11 @@ class Bridge:
         self._health.observe("correction_answer", to_seconds(event.round_trip_ns))
         if event.is_accepted:
             self._health.count("corrections_accepted")
+            self._refusal = ""
         else:
             self._health.lose("corrections_refused_by_robot")
-            self._health.fail(f"robot {self._robot} refused a correction: {event.reason}")
+            self._refusal = f"robot {self._robot} refused a correction: {event.reason}"
+            self._health.fail(self._refusal)
 
     def _trouble(self, event: Event) -> None:
         match event:
@@ -348,7 +355,7 @@ class Bridge:
         if refused.reason is Refusal.WAITING:
             # This is the normal state before the robot is placed; nothing is lost.
             self._health.count("corrections_waiting")
-            self._refusal = ""
+            self._refusal = f"those that come wait; its place is {self._gate.state}"
             return
         if refused.reason in _SERIOUS:
             self._health.fail(f"a correction for robot {self._robot} was refused: {refused.text}")
@@ -369,6 +376,7 @@ class Bridge:
             self._health.count("frames_established")
             _log.info("robot %s is told where it is anew: %s", self._robot, approved.why)
         if self._traits.takes is Takes.CORRECTIONS:
+            self._refusal = f"robot {self._robot} has not answered the last"
             pose, covariance = self._blend.told(
                 approved.at,
                 approved.map_from_base,

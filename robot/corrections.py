@@ -56,11 +56,13 @@ class Corrections:
             correction = decode(CORRECTION.type_name, sample.payload)
         except MessageError as reason:
             self._health.reject(sample, reason)
+            self._bridge.pass_over(f"the last was rejected: {reason}")
             return
         if missing := self._missed.before(mark, sample.sender):
             self._health.lose("corrections", missing)
         if self._is_held():
             self._health.lose("corrections_held_by_the_clock")
+            self._bridge.pass_over("the last was held, since the clocks disagreed")
             return
         assert isinstance(correction, PoseEstimate)  # guaranteed by the topic's type
         self._health.observe(

@@ -3,10 +3,12 @@ and corrections."""
 
 import logging
 import math
+import re
+import textwrap
 from typing import Protocol
 
 from trigpoint.base.clock import to_ns, to_seconds
-from trigpoint.base.words import numberless, plus_minus
+from trigpoint.base.words import plus_minus
 from trigpoint.node.clock_watch import CLOCK_IS_OFF
 from trigpoint.node.health import Health
 
@@ -18,6 +20,8 @@ _PATIENCE_NS = to_ns(5.0)
 # Longer than a robot takes from one camera to the next in a building where they are worth hanging.
 _UNCORRECTED_NS = to_ns(10.0)
 _AWAY = "fusion is not running any more"
+_UNSEEN = "no located camera sees it"
+_MOST_SAID = 200
 # Fusion's diagnostics come once a second.
 _FUSION_AWAY_S = 5.0
 
@@ -108,39 +112,44 @@ class CorrectionWatch:
             health.release("corrections")
             health.describe("uncorrected", "")
             return
-        away_s = self._node.silent_s("fusion")
         if self._received and received_age_ns < _UNCORRECTED_NS:
-            why = self._why_not_taken()
+            kind, why = "not taken", self._why_not_taken()
         else:
-            why = self._why_none_comes(away_s)
+            kind = self._why_none_comes()
+            why = kind + self._fusion_says() if kind == _UNSEEN else kind
         text = (
             f"no corrections for {to_seconds(age_ns):.0f} s: {why}; robot {self._robot} goes on by "
             "its own odometry alone, whose error grows"
         )
-        if why == _AWAY:
+        if kind == _AWAY:
             health.describe("uncorrected", "")
             health.hold("corrections", text)
             return
         health.release("corrections")
         health.describe("uncorrected", text)
-        if numberless(why) != self._told:
-            self._told = numberless(why)
+        if kind != self._told:
+            self._told = kind
             _log.info("%s", text)
 
     def _why_not_taken(self) -> str:
         return (
             self._node.health.held.get(CLOCK_IS_OFF)
             or self._bridge.refusal
-            or f"those that come wait; its place is {self._bridge.state}"
+            or "the first is being judged"
         )
 
-    def _why_none_comes(self, away_s: float | None) -> str:
+    def _why_none_comes(self) -> str:
+        away_s = self._node.silent_s("fusion")
         if away_s is None:
             return "fusion was never heard"
-        if away_s > _FUSION_AWAY_S:
-            return _AWAY
-        trouble = self._node.trouble_of("fusion")
-        return f"fusion says: {trouble}" if trouble else "no located camera sees it"
+        return _AWAY if away_s > _FUSION_AWAY_S else _UNSEEN
+
+    def _fusion_says(self) -> str:
+        """What of fusion's trouble may be why: what names this robot, corrections, or a hang."""
+        concerns = re.compile(rf"\b({self._robot}|corrections|no sign of life)\b")
+        parts = self._node.trouble_of("fusion").split("; ")
+        said = "; ".join(part for part in parts if concerns.search(part))
+        return said and f"; fusion says: {textwrap.shorten(said, _MOST_SAID, placeholder=' …')}"
 
     def _show_place(self, age_ns: int) -> None:
         place = self._bridge.place()

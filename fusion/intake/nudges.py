@@ -25,8 +25,8 @@ class Nudges:
         """What is said of a camera that was moved and is not located again."""
         until = "the map is learnt anew" if self._is_fixed else "a robot has driven past it"
         return (
-            f"camera {camera} was turned or shifted, as its pictures show; it makes no corrections "
-            f"until {until}"
+            f"camera {camera} was turned or shifted, as its pictures show, and makes no "
+            f"corrections until {until}"
         )
 
     def locate(self, cameras: Iterable[str]) -> None:

@@ -84,7 +84,8 @@ METRICS: dict[str, tuple[Metric, ...]] = {
         Metric(
             "trigpoint_clock_offset_seconds",
             "clock_offset_ms",
-            "fusion's clock less this machine's, of cameras and robots",
+            "fusion's clock less this machine's, of cameras and robots; absent where fusion does "
+            "not answer",
         ),
         Metric(
             "trigpoint_certificate_left_seconds",

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 from msgspec import Struct
 
-from trigpoint.base.clock import to_seconds
+from trigpoint.base.clock import STEP_NS, to_seconds
 from trigpoint.bus.bus import Bus, Reply
 from trigpoint.contract.topics import command_key
 from trigpoint.node.node import Node
@@ -22,7 +22,7 @@ CLOCK_IS_OFF = "clock offset"
 _ASK_EVERY_S = 2.0
 _ANSWER_S = 1.0
 _KEPT = 8
-"""Of this many queries, the one answered soonest counts."""
+"""Of this many queries, the one answered soonest counts; where none was, nothing is known."""
 
 
 class ClockOffset(Struct, frozen=True):
@@ -52,14 +52,19 @@ class ClockWatch:
         self._bus, self._node, self._now_ns = bus, node, now_ns
         self._limit_s, self._harm = limit_s, harm
         self._key = command_key(site.name, "clock")
-        self._offsets: deque[ClockOffset] = deque(maxlen=_KEPT)
+        self._offsets: deque[ClockOffset | None] = deque(maxlen=_KEPT)
+        self._course_ns = 0
         self.is_off = False
-        node.health.gauge("clock_offset_ms", lambda: 1e3 * self._best.offset_s)
+        node.health.gauge("clock_offset_ms", self._offset_ms)
 
     @property
-    def _best(self) -> ClockOffset:
-        known = list(self._offsets)
-        return min(known, key=lambda one: one.uncertainty_s, default=ClockOffset(0.0, 0.0))
+    def _best(self) -> ClockOffset | None:
+        known = [one for one in list(self._offsets) if one is not None]
+        return min(known, key=lambda one: one.uncertainty_s, default=None)
+
+    def _offset_ms(self) -> float | None:
+        best = self._best
+        return None if best is None else 1e3 * best.offset_s
 
     def run(self, pulse: Pulse) -> None:
         """Ask until the node stops."""
@@ -70,21 +75,36 @@ class ClockWatch:
                 return
 
     def ask(self) -> None:
-        """Ask once; if nobody answers, the last offset stays."""
+        """Ask once; if nobody answers, what is known stays for as long as it is among those kept.
+        What was learnt before this machine's clock was set is forgotten."""
+        elapsed_ns = self._node.clock.elapsed_ns
+        began_ns = elapsed_ns()
         before_ns = self._now_ns()
+        self._follow(before_ns - began_ns)
         replies = self._bus.query(self._key, timeout_s=_ANSWER_S)
         after_ns = self._now_ns()
+        ended_ns = elapsed_ns()
         theirs = [found for reply in replies if (found := _now_ns(reply)) is not None]
-        if len(theirs) != 1:
-            return
-        middle_ns, half_ns = (before_ns + after_ns) // 2, (after_ns - before_ns) // 2
-        self._offsets.append(ClockOffset(to_seconds(theirs[0] - middle_ns), to_seconds(half_ns)))
+        offset = None
+        if not self._follow(after_ns - ended_ns) and len(theirs) == 1:
+            half_ns = (ended_ns - began_ns) // 2
+            offset = ClockOffset(to_seconds(theirs[0] - before_ns - half_ns), to_seconds(half_ns))
+        self._offsets.append(offset)
         self._judge()
+
+    def _follow(self, course_ns: int) -> bool:
+        """Whether this machine's clock was set since the last call; `course_ns`: its Unix time
+        less its monotonic time."""
+        is_set = abs(course_ns - self._course_ns) >= STEP_NS
+        if is_set:
+            self._course_ns = course_ns
+            self._offsets.clear()
+        return is_set
 
     def _judge(self) -> None:
         best, health = self._best, self._node.health
-        self.is_off = best.exceeds(self._limit_s)
-        if not self.is_off:
+        self.is_off = best is not None and best.exceeds(self._limit_s)
+        if best is None or not self.is_off:
             health.release(CLOCK_IS_OFF)
             return
         side = "behind" if best.offset_s > 0 else "ahead of"

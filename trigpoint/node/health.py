@@ -63,7 +63,7 @@ class Health:
         self._totals: Counter[str] = Counter()
         self._losses: Counter[str] = Counter()
         self._durations: defaultdict[str, Durations] = defaultdict(Durations)
-        self._gauges: dict[str, Callable[[], float]] = {}
+        self._gauges: dict[str, Callable[[], float | None]] = {}
         self._watched: dict[str, Incoming] = {}
         self._descriptions: dict[str, str] = {}
         self._held: dict[str, str] = {}
@@ -89,8 +89,9 @@ class Health:
         with self._lock:
             self._durations[name].add(seconds)
 
-    def gauge(self, name: str, read: Callable[[], float]) -> None:
-        """Show the result of `read`, which is called on the diagnostics thread."""
+    def gauge(self, name: str, read: Callable[[], float | None]) -> None:
+        """Show the result of `read`, which is called on the diagnostics thread; where that is None,
+        the gauge is left out."""
         with self._lock:
             self._gauges[name] = read
 
@@ -166,7 +167,8 @@ class Health:
             watched, gauges = dict(self._watched), dict(self._gauges)
             values = dict(self._descriptions)
             values |= {f"{name}.seconds": each.text for name, each in self._durations.items()}
-        values |= {name: _number(read()) for name, read in gauges.items()}
+        read_now = {name: read() for name, read in gauges.items()}
+        values |= {name: _number(value) for name, value in read_now.items() if value is not None}
         for name, subscription in watched.items():
             totals[name] = totals.get(name, 0) + subscription.received
             losses[name] = losses.get(name, 0) + subscription.dropped

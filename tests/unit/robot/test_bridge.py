@@ -171,6 +171,18 @@ def test_refused_corrections_are_counted_by_reason_and_the_first_of_a_run_is_tol
     assert told.startswith("a correction for robot r1 was refused: it is 2.90 s old")
 
 
+def test_correction_is_not_taken_before_the_robot_says_so(robot: Robot) -> None:
+    robot.stand(0.7, 1.0)
+    robot.correct(0.85, 0.9)
+    assert robot.bridge.refusal.startswith("those that come wait; its place is unknown: ")
+    handed_on = robot.place(1.0)
+    assert robot.bridge.refusal == "robot r1 has not answered the last"
+    for is_accepted, refusal in ((False, "robot r1 refused a correction: too old"), (True, "")):
+        reason = "" if is_accepted else "too old"
+        robot.bridge.on_event(Acknowledged(handed_on.number, is_accepted, reason, 1))
+        assert robot.bridge.refusal == refusal
+
+
 def test_correction_while_nobody_is_there_is_refused_and_leaves_no_trace(robot: Robot) -> None:
     robot.stand(1.0, 2.0)
     robot.bridge.on_event(Mismatched("another robot"))

@@ -7,6 +7,7 @@ from contextlib import closing
 import pytest
 from support.builders import make_site
 
+from trigpoint.base.clock import ManualClock, to_ns, to_seconds
 from trigpoint.node.clock_watch import ClockOffset, ClockWatch
 from trigpoint.node.node import Node
 from trigpoint.testing.memory_bus import MemoryBroker
@@ -30,21 +31,34 @@ def test_only_what_is_certain_holds(offset_s: float, uncertainty_s: float, is_of
 
 
 class Desk:
-    """A bridge's machine with a clock that the test sets, and fusion, whose answers take time."""
+    """A bridge's machine whose clock the test sets, and fusion, whose answers take time, and during
+    the next of which the machine's clock is set by `step_ns`."""
 
     def __init__(self, broker: MemoryBroker) -> None:
         self.bus, self.fusion = broker.session(), broker.session()
-        self.now_ns, self.ahead_ns, self.way_ns = NOW_NS, 0, 0
-        self.node = Node(self.bus, site="lab", kind="robot", name="r1")
+        self.clock = ManualClock(NOW_NS)
+        self.set_ns = self.ahead_ns = self.way_ns = self.step_ns = 0
+        self.node = Node(self.bus, site="lab", kind="robot", name="r1", clock=self.clock)
         self.watch = ClockWatch(
-            self.bus, self.node, make_site(), lambda: self.now_ns, LIMIT_S, "corrections are held"
+            self.bus,
+            self.node,
+            make_site(),
+            lambda: self.clock.now_ns() + self.set_ns,
+            LIMIT_S,
+            "corrections are held",
         )
         self.served = self.fusion.serve("lab/clock", self._answer)
 
+    @property
+    def shown(self) -> str | None:
+        """The offset in the diagnostics, ms."""
+        return self.node.health.report().values.get("clock_offset_ms")
+
     def _answer(self, _: bytes) -> bytes:
-        self.now_ns += self.way_ns
-        said = json.dumps({"now_ns": self.now_ns + self.ahead_ns}).encode()
-        self.now_ns += self.way_ns
+        self.clock.advance(to_seconds(self.way_ns))
+        said = json.dumps({"now_ns": self.clock.now_ns() + self.ahead_ns}).encode()
+        self.clock.advance(to_seconds(self.way_ns))
+        self.set_ns, self.step_ns = self.set_ns + self.step_ns, 0
         return said
 
 
@@ -84,6 +98,41 @@ def test_slow_answer_does_not_hold_but_a_quick_one_tells(desk: Desk) -> None:
     desk.way_ns = 1_000_000
     desk.watch.ask()
     assert desk.watch.is_off
+
+
+@pytest.mark.parametrize("step_s", [-2.0, 2.0])
+@pytest.mark.parametrize("is_during", [True, False])
+def test_clock_that_is_set_forgets_what_was_learnt_before(
+    desk: Desk, step_s: float, is_during: bool
+) -> None:
+    desk.ahead_ns = to_ns(step_s)  # wrong by this much until it is set
+    desk.way_ns = 1_000_000
+    desk.watch.ask()
+    assert desk.watch.is_off
+    desk.way_ns = 2_000_000  # what comes after is less certain, and counts all the same
+    if is_during:
+        desk.step_ns = desk.ahead_ns
+        desk.watch.ask()
+        assert (desk.shown, desk.watch.is_off) == (None, False)
+    else:
+        desk.set_ns = desk.ahead_ns
+    for _ in range(2):
+        desk.watch.ask()
+        assert (desk.shown, desk.watch.is_off) == ("0", False)
+    assert desk.node.health.held == {}
+
+
+def test_what_fusion_said_is_forgotten_when_it_no_longer_answers(desk: Desk) -> None:
+    assert desk.shown is None
+    desk.ahead_ns = 20_000_000
+    desk.watch.ask()
+    assert (desk.shown, desk.watch.is_off) == ("20", True)
+    desk.served.close()
+    for _ in range(7):
+        desk.watch.ask()
+        assert desk.watch.is_off
+    desk.watch.ask()
+    assert (desk.shown, desk.watch.is_off, desk.node.health.held) == (None, False, {})
 
 
 def test_nobody_who_answers_and_garbage_hold_nothing(desk: Desk) -> None:
