@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from trigpoint.base.clock import Clock, SteadyClock, to_seconds
 from trigpoint.base.errors import FrameError
-from trigpoint.bus.bus import Bus
+from trigpoint.bus.bus import Bus, Publisher
 from trigpoint.contract.cdr import encode, warm_up
 from trigpoint.contract.messages import CameraInfo, FaceSighting, Sightings
 from trigpoint.contract.nudge import NUDGED, NUDGES, Nudge
@@ -82,10 +82,9 @@ class EdgeNode:
     def start(self) -> None:
         """Declare the camera's publishers and commands, and start its thread."""
         warm_up()
-        self._sightings = self._bus.publisher(SIGHTINGS, self._key(SIGHTINGS))
-        self._camera_info = self._bus.publisher(CAMERA_INFO, self._key(CAMERA_INFO))
-        images = self._bus.publisher(IMAGE, self._key(IMAGE))
-        self._pictures = PictureSender(self._camera, self._config, images)
+        self._sightings = self._publisher(SIGHTINGS)
+        self._camera_info = self._publisher(CAMERA_INFO)
+        self._pictures = PictureSender(self._camera, self._config, self._publisher(IMAGE))
         self._serve("snapshot", self._pictures.snapshot)
         self._serve("calibrate", self._calibration.answer)
         self._node.health.count(NUDGES, 0)
@@ -108,7 +107,11 @@ class EdgeNode:
         return to_seconds(self._clock.elapsed_ns() - self._newest_ns)
 
     def _serve(self, command: str, answer: Callable[[bytes], bytes]) -> None:
-        self._bus.serve(command_key(self._site.name, f"camera/{self._camera}/{command}"), answer)
+        key = command_key(self._site.name, f"camera/{self._camera}/{command}")
+        self._node.keep(self._bus.serve(key, answer))
+
+    def _publisher(self, topic: Topic) -> Publisher:
+        return self._node.keep(self._bus.publisher(topic, self._key(topic)))
 
     def _run(self) -> None:
         try:
