@@ -73,6 +73,7 @@ class EdgeNode:
         self._last_ns = -1
         self._followed = 0
         self._lost_ns: int | None = None
+        self._spoilt_ns: int | None = None
         self._watch = TargetWatch(camera, self._clock)
         self._background = BackgroundWatch() if self._config.notice_nudges else None
         self._pause_s = _FIRST_PAUSE_S
@@ -171,6 +172,7 @@ class EdgeNode:
                 self._pulse.beat(_PATIENCE_S + _PATIENT_PERIODS / config.rate)
                 if frame is None:
                     self._say("waiting")
+                    self._node.health.release("source")
                 elif isinstance(frame, Unreadable):
                     self._miss(frame.reason)
                 else:
@@ -181,15 +183,20 @@ class EdgeNode:
             source.close()
 
     def _miss(self, reason: str) -> None:
-        """Count a picture that cannot be read; where none has been for long, that is an error."""
+        """Count a picture that cannot be read; where no other has come for long, that is an
+        error."""
         self._node.health.lose("unreadable")
-        if (age_s := self._picture_age_s()) > _UNREADABLE_S:
+        now_ns = self._clock.elapsed_ns()
+        if self._spoilt_ns is None:
+            self._spoilt_ns = now_ns
+        if (age_s := to_seconds(now_ns - self._spoilt_ns)) > _UNREADABLE_S:
             self._say("unreadable")
             text = f"camera {self._camera}: no picture that can be read for {age_s:.0f} s; {reason}"
             self._node.health.hold("source", text)
 
     def _handle(self, frame: Frame, source: FrameSource) -> None:
         health = self._node.health
+        self._spoilt_ns = None
         health.count("pictures")
         health.count("passed_over", frame.passed_over)
         health.describe("stamps", frame.stamp.value)
