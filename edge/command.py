@@ -6,12 +6,11 @@ from typing import Annotated
 import cv2
 import typer
 
-from trigpoint.bus.bus import Bus
 from trigpoint.contract.access import Kind
 from trigpoint.metrics.serving import metrics_served
 from trigpoint.node.node import Node, stop_on_signals
 from trigpoint.node.watchdog import Watchdog
-from trigpoint.site.config import Site, load_site
+from trigpoint.site.config import load_site
 from trigpoint.site.option import SITE_FILE, MetricsAt, SiteFile
 from trigpoint.zenoh import open_bus
 
@@ -38,32 +37,29 @@ def main(
     cv2.setNumThreads(1)
     quieten_opencv()
     with ExitStack() as stack:
-        buses = _buses(loaded, names, stack)
+        # In a secured site each camera shows its own certificate, in a session that ends with it.
+        shared = None if loaded.bus.tls else stack.enter_context(open_bus(loaded))
+        lives = [stack.enter_context(ExitStack()) for _ in names]
+        buses = [
+            shared or life.enter_context(open_bus(loaded, (Kind.CAMERA, name)))
+            for name, life in zip(names, lives, strict=True)
+        ]
         watchdog = Watchdog()
         nodes = [
-            Node(buses[name], site=loaded.name, kind=KIND, name=name, watchdog=watchdog)
-            for name in names
+            Node(bus, site=loaded.name, kind=KIND, name=name, watchdog=watchdog)
+            for bus, name in zip(buses, names, strict=True)
         ]
         agents = [
-            EdgeNode(buses[name], node, loaded, name, targets)
-            for node, name in zip(nodes, names, strict=True)
+            EdgeNode(bus, node, loaded, name, targets)
+            for bus, node, name in zip(buses, nodes, names, strict=True)
         ]
         stop_on_signals(nodes)
         stack.enter_context(metrics_served(loaded, metrics, nodes))
-        lives = [stack.enter_context(ExitStack()) for _ in nodes]
         for node, agent, life in zip(nodes, agents, lives, strict=True):
             life.enter_context(node)
             agent.start()
         stack.callback(lambda: [node.stop() for node in nodes])
         _wait_for_all(nodes, lives)
-
-
-def _buses(site: Site, names: list[str], stack: ExitStack) -> dict[str, Bus]:
-    """Each camera's bus: one for all, but in a secured site, where each shows its certificate."""
-    if site.bus.tls is not None:
-        return {name: stack.enter_context(open_bus(site, (Kind.CAMERA, name))) for name in names}
-    bus = stack.enter_context(open_bus(site))
-    return dict.fromkeys(names, bus)
 
 
 def _wait_for_all(nodes: list[Node], lives: list[ExitStack]) -> None:

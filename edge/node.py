@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from trigpoint.base.clock import Clock, SteadyClock, to_seconds
 from trigpoint.base.errors import FrameError
-from trigpoint.bus.bus import Bus
+from trigpoint.bus.bus import Bus, Publisher
 from trigpoint.contract.cdr import encode, warm_up
 from trigpoint.contract.messages import CameraInfo, FaceSighting, Sightings
 from trigpoint.contract.nudge import NUDGED, NUDGES, Nudge
@@ -73,6 +73,7 @@ class EdgeNode:
         self._last_ns = -1
         self._followed = 0
         self._lost_ns: int | None = None
+        self._spoilt_ns: int | None = None
         self._watch = TargetWatch(camera, self._clock)
         self._background = BackgroundWatch() if self._config.notice_nudges else None
         self._pause_s = _FIRST_PAUSE_S
@@ -82,10 +83,9 @@ class EdgeNode:
     def start(self) -> None:
         """Declare the camera's publishers and commands, and start its thread."""
         warm_up()
-        self._sightings = self._bus.publisher(SIGHTINGS, self._key(SIGHTINGS))
-        self._camera_info = self._bus.publisher(CAMERA_INFO, self._key(CAMERA_INFO))
-        images = self._bus.publisher(IMAGE, self._key(IMAGE))
-        self._pictures = PictureSender(self._camera, self._config, images)
+        self._sightings = self._publisher(SIGHTINGS)
+        self._camera_info = self._publisher(CAMERA_INFO)
+        self._pictures = PictureSender(self._camera, self._config, self._publisher(IMAGE))
         self._serve("snapshot", self._pictures.snapshot)
         self._serve("calibrate", self._calibration.answer)
         self._node.health.count(NUDGES, 0)
@@ -108,7 +108,11 @@ class EdgeNode:
         return to_seconds(self._clock.elapsed_ns() - self._newest_ns)
 
     def _serve(self, command: str, answer: Callable[[bytes], bytes]) -> None:
-        self._bus.serve(command_key(self._site.name, f"camera/{self._camera}/{command}"), answer)
+        key = command_key(self._site.name, f"camera/{self._camera}/{command}")
+        self._node.keep(self._bus.serve(key, answer))
+
+    def _publisher(self, topic: Topic) -> Publisher:
+        return self._node.keep(self._bus.publisher(topic, self._key(topic)))
 
     def _run(self) -> None:
         try:
@@ -168,6 +172,7 @@ class EdgeNode:
                 self._pulse.beat(_PATIENCE_S + _PATIENT_PERIODS / config.rate)
                 if frame is None:
                     self._say("waiting")
+                    self._node.health.release("source")
                 elif isinstance(frame, Unreadable):
                     self._miss(frame.reason)
                 else:
@@ -178,15 +183,20 @@ class EdgeNode:
             source.close()
 
     def _miss(self, reason: str) -> None:
-        """Count a picture that cannot be read; where none has been for long, that is an error."""
+        """Count a picture that cannot be read; where no other has come for long, that is an
+        error."""
         self._node.health.lose("unreadable")
-        if (age_s := self._picture_age_s()) > _UNREADABLE_S:
+        now_ns = self._clock.elapsed_ns()
+        if self._spoilt_ns is None:
+            self._spoilt_ns = now_ns
+        if (age_s := to_seconds(now_ns - self._spoilt_ns)) > _UNREADABLE_S:
             self._say("unreadable")
             text = f"camera {self._camera}: no picture that can be read for {age_s:.0f} s; {reason}"
             self._node.health.hold("source", text)
 
     def _handle(self, frame: Frame, source: FrameSource) -> None:
         health = self._node.health
+        self._spoilt_ns = None
         health.count("pictures")
         health.count("passed_over", frame.passed_over)
         health.describe("stamps", frame.stamp.value)

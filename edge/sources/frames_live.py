@@ -59,6 +59,7 @@ class LiveFrames:
         self._newest: Frame | None = None
         self._lost: TrigpointError | None = None
         self._skipped = self._passed_over = self._damaged = 0
+        self._is_damaged = False
         self._closing = threading.Event()
         self._alive_ns = clock.elapsed_ns() + to_ns(_OPENING_S)
         self._last: np.ndarray | None = None
@@ -93,7 +94,7 @@ class LiveFrames:
                 yield frame
             elif self._clock.elapsed_ns() > self._alive_ns + self._stalled_ns:
                 waited_s = self._stalled_ns / 1e9
-                kind = "whole picture" if damaged else "picture"
+                kind = "whole picture" if self._is_damaged else "picture"
                 raise FrameError(f"{self._name}: no {kind} for {waited_s:.0f} s; check the camera")
 
     def close(self) -> None:
@@ -128,7 +129,8 @@ class LiveFrames:
         is_read, picture = capture.read()
         if not is_read:
             raise FrameError(f"{self._name}: the camera was lost; check its cable or network")
-        if not picture.size:
+        self._is_damaged = not picture.size
+        if self._is_damaged:
             self._damaged += 1
             return
         captured_ns, stamp = self._stamp(capture, self._clock)

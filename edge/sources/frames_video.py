@@ -3,6 +3,7 @@
 import logging
 import threading
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 
 import av
@@ -76,25 +77,35 @@ class Video:
             self._container = av.open(str(file), metadata_errors="ignore")
         except (av.error.FFmpegError, ValueError):
             raise InputError(_NO_VIDEO.format(file)) from None
-        self._frames = self._decoded()
-        self._first = next(self._frames, None) if self._container.streams.video else None
-        if self._first is None:
+        frames = self._decoded() if self._container.streams.video else iter(())
+        begin: list[av.VideoFrame | None] = []
+        for first in frames:
+            begin.append(first)
+            if first is not None:
+                break
+        else:
             self._container.close()
             raise InputError(_NO_VIDEO.format(file))
         rate = float(self._container.streams.video[0].average_rate or 0.0)
         self.rate = rate if 0.1 < rate < 1000 else _USUAL_RATE
-        self._index, self._last_ns, self._start_ns = -1, -1, _time_ns(self._first)
+        self._frames = chain(begin, frames)
+        self._index, self._last_ns, self._start_ns = -1, -1, _time_ns(first)
         self._frame: av.VideoFrame | None = None
 
     def advance(self) -> int | None:
         """Go to the next picture; its time since the first one, ns, or None at the end.
 
-        Its presentation time where that rises, else the count of pictures at the video's rate.
+        Its presentation time where that rises, else the count of pictures at the video's rate;
+        where it cannot be decoded, the time of the one before.
         """
-        self._frame, self._first = self._first or next(self._frames, None), None
-        if self._frame is None:
+        try:
+            self._frame = next(self._frames)
+        except StopIteration:
+            self._frame = None
             return None
         self._index += 1
+        if self._frame is None:
+            return max(0, self._last_ns)
         position_ns = to_ns(self._index / self.rate)
         time_ns = _time_ns(self._frame)
         if time_ns is not None and self._start_ns is not None:
@@ -113,13 +124,14 @@ class Video:
     def close(self) -> None:
         self._container.close()
 
-    def _decoded(self) -> Iterator[av.VideoFrame]:
-        """Every picture; what cannot be decoded is passed over."""
+    def _decoded(self) -> Iterator[av.VideoFrame | None]:
+        """Every picture; None: it cannot be decoded."""
         try:
             for packet in self._container.demux(video=0):
                 try:
                     frames = packet.decode()
                 except av.error.InvalidDataError:
+                    yield None
                     continue
                 yield from (frame for frame in frames if isinstance(frame, av.VideoFrame))
         except av.error.FFmpegError as reason:

@@ -11,7 +11,7 @@ from trigpoint.base.clock import SteadyClock, to_ns, to_seconds
 from trigpoint.base.errors import InputError, OperationError, TrigpointError
 from trigpoint.base.words import counted
 from trigpoint.edge.detector import detector_for
-from trigpoint.edge.sources.frames import Frame, FrameSource, open_source
+from trigpoint.edge.sources.frames import Frame, FrameSource, Unreadable, open_source
 from trigpoint.edge.sources.opencv_log import quieten_opencv
 from trigpoint.site.camera_info import read_camera_info
 from trigpoint.site.config import Site
@@ -53,15 +53,18 @@ def check_camera(site: Site, name: str) -> list[Check]:
         remedy = "fine where it is another machine's; else see that it is on and correct `source`"
         level = "error" if isinstance(reason, InputError) else "warning"
         return [Check(f"camera {name}", level, str(reason), remedy)]
+    if isinstance(glance, Unreadable):
+        text = f"opens, but gave no picture that can be read; {glance.reason}"
+        return [Check(f"camera {name}", "error", text, "see its cable, network and format")]
     if glance is None:
         text = f"opens, but gave no picture in {LOOK_S + _OPENING_S:.0f} s"
         return [Check(f"camera {name}", "error", text, "see whether it is on")]
     return [_picture_check(site, name, glance), *_lens_check(site, name, glance)]
 
 
-def look_at(site: Site, name: str) -> Glance | None:
-    """Open a camera's source and watch for a moment; None if no picture arrived. Raises what the
-    source raises."""
+def look_at(site: Site, name: str) -> Glance | Unreadable | None:
+    """Open a camera's source and watch for a moment; the last damaged picture if none was whole,
+    None if none arrived. Raises what the source raises."""
     quieten_opencv()
     config, clock, stopping = site.camera(name), SteadyClock(), threading.Event()
     source = open_source(config.source, config, clock=clock, directory=site.directory)
@@ -75,12 +78,16 @@ def look_at(site: Site, name: str) -> Glance | None:
         source.close()
 
 
-def _glance(source: FrameSource, stopping: threading.Event, clock: SteadyClock) -> Glance | None:
+def _glance(
+    source: FrameSource, stopping: threading.Event, clock: SteadyClock
+) -> Glance | Unreadable | None:
     began_ns: int | None = None
+    damaged: Unreadable | None = None
     frames: list[Frame] = []
     ages_s: list[float] = []
     for frame in source.frames(stopping):
         if not isinstance(frame, Frame):
+            damaged = frame or damaged
             continue
         now_ns = clock.elapsed_ns()
         began_ns = began_ns or now_ns
@@ -89,7 +96,7 @@ def _glance(source: FrameSource, stopping: threading.Event, clock: SteadyClock) 
         if now_ns - began_ns >= to_ns(LOOK_S):
             break
     if not frames:
-        return None
+        return damaged
     height, width = frames[-1].picture.shape[:2]
     seconds = to_seconds(frames[-1].captured_ns - frames[0].captured_ns)
     rate = (len(frames) - 1) / seconds if seconds > 0 else 0.0

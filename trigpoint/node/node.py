@@ -16,7 +16,7 @@ import time
 import uuid
 from collections.abc import Callable, Sequence
 from types import TracebackType
-from typing import Protocol, Self
+from typing import Protocol, Self, TypeVar
 
 from trigpoint import CONTRACT, __version__
 from trigpoint.base.clock import NANOSECONDS, SETTLED_NS, Clock, SteadyClock, to_seconds
@@ -46,6 +46,8 @@ _MOST_HEARD = 256
 """How many of the other nodes' diagnostics are read in one go."""
 # One turn of work takes far less, even on a small, busy machine.
 _WORK_S = 20.0
+
+_Declared = TypeVar("_Declared", bound=Closable)
 
 
 class Node:
@@ -158,6 +160,11 @@ class Node:
                 self.watchdog.forget(pulse)
 
         self.thread(name, watched)
+
+    def keep(self, declared: _Declared) -> _Declared:
+        """Withdraw this declaration at the node's end, behind its threads; returns it."""
+        self._declared.append(declared)
+        return declared
 
     def stop(self) -> None:
         """Ask the node to end."""

@@ -26,12 +26,15 @@ BOARD = charuco()
 VIEW = placed(BOARD, distance=0.9, tilt_deg=20)
 SEEN, EMPTY = picture_of([VIEW]), plain_picture()
 
+Scripted = tuple[int, np.ndarray] | Frame | Unreadable | Exception | None
+"""What a source gives, raises, or of a picture its stamp and itself."""
+
 
 class ScriptedFrames:
     """A source whose stamps and pictures the test hands over; an exception among them is raised,
     and the next opening goes on behind it. It says that it skipped one picture for each."""
 
-    script: Iterator[tuple[int, np.ndarray] | Frame | Unreadable | Exception]
+    script: Iterator[Scripted]
     opened = 0
     own_lens: CameraModel | None = None
 
@@ -43,14 +46,14 @@ class ScriptedFrames:
     def intrinsics(self) -> CameraModel | None:
         return self.own_lens
 
-    def frames(self, stopping: threading.Event) -> Iterator[Frame | Unreadable]:
+    def frames(self, stopping: threading.Event) -> Iterator[Frame | Unreadable | None]:
         for item in self.script:
             if stopping.is_set():
                 return
             if isinstance(item, Exception):
                 raise item
             self.skipped += 1
-            yield item if isinstance(item, Frame | Unreadable) else Frame(item[1], item[0])
+            yield Frame(item[1], item[0]) if isinstance(item, tuple) else item
 
     def close(self) -> None:
         pass
@@ -71,7 +74,7 @@ class Desk:
         self,
         *pictures: tuple[int, np.ndarray] | Frame | Exception,
         camera: str = "",
-        script: Iterator[tuple[int, np.ndarray] | Frame | Unreadable | Exception] | None = None,
+        script: Iterator[Scripted] | None = None,
         target: Target | None = None,
         clock: Clock | None = None,
     ) -> Node:

@@ -87,6 +87,37 @@ def test_source_that_gives_nothing_readable_is_said_until_it_does(desk: Desk) ->
     assert node.health.held == {}
 
 
+def test_one_spoilt_picture_of_a_slow_source_is_no_error_nor_are_several_while_it_waits(
+    desk: Desk,
+) -> None:
+    said, has_started = [], threading.Event()
+
+    def script() -> Iterator[Frame | Unreadable | None]:
+        has_started.wait()
+        for after_s, item in (
+            (0.0, Frame(EMPTY, 1)),
+            (60.0, Unreadable("02.png is cut short")),
+            (0.2, None),
+            (60.0, Frame(EMPTY, 2)),
+            (60.0, Unreadable("04.png is cut short")),
+            (60.0, Unreadable("05.png is cut short")),
+            (0.2, None),
+        ):
+            clock.advance(after_s)
+            yield item
+            said.append(node.health.held)
+
+    clock = ManualClock(10**18)
+    node = desk.start(script=script(), clock=clock)
+    has_started.set()
+    node.wait()
+    assert [held.get("source") for held in said] == [
+        *[None] * 5,
+        "camera c1: no picture that can be read for 60 s; 05.png is cut short",
+        None,
+    ]
+
+
 def test_picture_that_takes_longer_than_a_period_is_given_up_and_counted(desk: Desk) -> None:
     ears = desk.listen(SIGHTINGS)
     node = desk.start((1000, SEEN), (2000, SEEN), camera="rate = 1e6")

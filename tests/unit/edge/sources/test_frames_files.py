@@ -5,6 +5,7 @@ from collections.abc import Iterable
 from itertools import islice
 from pathlib import Path
 
+import av
 import cv2
 import numpy as np
 import pytest
@@ -241,6 +242,28 @@ def test_folder_whose_pictures_exif_turns_differently_is_refused(
 def test_every_scheme_of_the_table_and_every_plug_in_can_be_loaded() -> None:
     for scheme in (*SOURCES, "sim"):
         assert callable(source_class(scheme))
+
+
+def test_pictures_of_a_video_that_cannot_be_decoded_are_told_and_the_others_keep_their_time(
+    tmp_path: Path,
+) -> None:
+    file = write_video(tmp_path / "clip.avi")
+    with av.open(str(file)) as container:
+        places = [(p.pos, p.size) for p in container.demux(video=0) if p.pos is not None]
+    data = bytearray(file.read_bytes())
+    for number in (0, 2, 3):
+        pos, size = places[number]
+        data[pos : pos + size] = bytes(size)
+    file.write_bytes(data)
+    url, clock = f"file://{file}", ManualClock(START_NS)
+    source = open_source(url, CameraConfig(url, rate=5.0), clock=clock, directory=Path())
+    found = list(source.frames(threading.Event()))
+    source.close()
+    assert [isinstance(one, Unreadable) for one in found] == [True, False, True, True, False, False]
+    assert numbers(found) == [1, 4, 5]
+    stamps = [one.captured_ns - START_NS for one in found if isinstance(one, Frame)]
+    assert stamps == [to_ns(0.2 * number) for number in (0, 3, 4)]
+    assert source.skipped == 0
 
 
 def test_time_of_a_video_always_rises(tmp_path: Path) -> None:

@@ -98,6 +98,22 @@ def test_damaged_pictures_of_a_camera_are_counted_and_named_where_no_other_comes
         source.close()
 
 
+def test_silence_behind_a_whole_picture_is_not_laid_to_the_damaged_one_before() -> None:
+    capture, clock = DamagedCapture(), ManualClock()
+    source = LiveFrames("cam", lambda: capture, clock=clock, rate=1e6, stamp=arrival_stamp)
+    found = source.frames(threading.Event())
+    try:
+        for is_sound in (True, False, True):
+            capture.permits.release()
+            assert isinstance(next(found), Frame) == is_sound
+        clock.advance(3 * STALLED_S)
+        with pytest.raises(FrameError, match="cam: no picture for 2 s"):
+            next(found)
+    finally:
+        capture.is_lost.set()
+        source.close()
+
+
 def test_pictures_come_in_order() -> None:
     capture = FakeCapture()
     with live(capture) as (source, frames, _):

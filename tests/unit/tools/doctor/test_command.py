@@ -1,7 +1,8 @@
 import json
 import shutil
+import threading
 from collections import namedtuple
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import cv2
@@ -11,7 +12,9 @@ from support.commands import Cli
 from support.pictures.boards import checkerboard, picture_of, placed
 
 from trigpoint.base.checks import Check
+from trigpoint.edge.sources.frames import Unreadable
 from trigpoint.site.config import load_site
+from trigpoint.tools.doctor import cameras
 from trigpoint.tools.doctor import command as doctor
 from trigpoint.tools.doctor import machine as machine_checks
 from trigpoint.tools.doctor.command import examine
@@ -169,6 +172,32 @@ def test_camera_one_of_whose_pictures_is_damaged_is_looked_at(quick: None, tmp_p
     cv2.imwrite(str(tmp_path / "shots" / "1.png"), picture_of([placed(checkerboard(8, 6))]))
     findings = {finding.name: finding for finding in examine(load_site(site))}
     assert "640 × 480, 1 picture at" in findings["camera c1"].message
+
+
+class Spoilt:
+    """A source whose pictures all come damaged, between pauses."""
+
+    skipped = 0
+
+    def __init__(self, *_given: object, **_more: object) -> None:
+        pass
+
+    def frames(self, _stopping: threading.Event) -> Iterator[Unreadable | None]:
+        yield from (None, Unreadable("a picture came damaged"), None)
+
+    def close(self) -> None:
+        pass
+
+
+def test_camera_all_of_whose_pictures_are_damaged_is_told_so(
+    quick: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cameras, "open_source", Spoilt)
+    site = load_site(write_site(tmp_path, '[cameras.c8]\nsource = "rtsp://a"\n'))
+    [finding] = cameras.check_camera(site, "c8")
+    assert finding.level == "error"
+    assert finding.message == "opens, but gave no picture that can be read; a picture came damaged"
+    assert "whether it is on" not in finding.remedy
 
 
 def test_target_of_a_site_without_robots_is_looked_at(quick: None, tmp_path: Path) -> None:
