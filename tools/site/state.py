@@ -10,7 +10,7 @@ from trigpoint.base.words import loss_words, numberless
 from trigpoint.contract.messages import DiagnosticStatus
 from trigpoint.contract.topics import SIGHTINGS, topic_of
 from trigpoint.node.health import LOST_SO_FAR
-from trigpoint.node.peers import MET
+from trigpoint.node.peers import MET, SERVERS
 
 _NO_GAUGES = frozenset({
     "version",
@@ -129,7 +129,7 @@ def _checked(node: NodeStatus, known: Collection[str]) -> NodeStatus:
 def _absent(
     expect: Iterable[str] | None, present: set[str], statuses: Iterable[DiagnosticStatus]
 ) -> list[NodeStatus]:
-    """The kinds of node that are expected, but of which none is there."""
+    """The nodes of the kinds that are expected, but of which none is there."""
     if expect is not None:
         kinds, why = set(expect), "expected by the site file (`expect`); not running"
     else:
@@ -139,7 +139,8 @@ def _absent(
             "was running, and is not any more; where the site does not need it, write `expect` at "
             "the top of the site file"
         )
-    return [NodeStatus(kind, "missing", why) for kind in kinds - present]
+    names = [f"{kind}/{SERVERS.get(kind, kind)}" for kind in kinds - present]
+    return [NodeStatus(name, "missing", why) for name in names]
 
 
 def _versions(nodes: list[NodeStatus]) -> dict[str, list[str]]:

@@ -197,11 +197,11 @@ def test_what_was_seen_alive_or_is_expected_is_missing_where_nobody_runs_it() ->
 
     silent = DiagnosticStatus(0, "recorder/recorder", "running", "", {})
     [(name, why)] = missing(None, bridge, silent)
-    assert (name, "was running" in why) == ("fusion", True)
+    assert (name, "was running" in why) == ("fusion/fusion", True)
     assert missing([], bridge, silent) == []
     assert missing(["recorder"], bridge, silent) == []
     [(name, why)] = missing(["fusion"], bridge, silent)
-    assert (name, "expected by the site file" in why) == ("fusion", True)
+    assert (name, "expected by the site file" in why) == ("fusion/fusion", True)
     unmet = DiagnosticStatus(0, "robot/r1", "running", "", {"met": ""})
     assert missing(None, unmet, silent) == []
 
