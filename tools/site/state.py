@@ -122,8 +122,14 @@ def _checked(node: NodeStatus, known: Collection[str]) -> NodeStatus:
         f"the site file has no {_NAMED[kind]} «{name}», so others may leave it out; add it there "
         "and start them again, or stop this one"
     )
-    said = text if node.message == "running" else f"{text}; {node.message}"
+    said = "; ".join(filter(None, (text, _complaint(node))))
     return replace(node, state="warning" if node.state == "ok" else node.state, message=said)
+
+
+def _complaint(node: NodeStatus) -> str:
+    """What a node says is wrong with it, but for its losses, which have numbers of their own."""
+    is_none = node.message == "running" or node.message.startswith(LOST_SO_FAR)
+    return "" if is_none else node.message
 
 
 def _absent(
@@ -239,8 +245,7 @@ def notes(node: NodeStatus) -> list[str]:
     losses = loss_words(node.losses)
     words = ", ".join(f"{name}: {text}" for name, text in node.words.items() if text)
     found = [rates, words, losses and f"lost: {losses}"]
-    is_told = node.message == "running" or node.message.startswith(LOST_SO_FAR)
-    found += ["" if is_told else node.message]
+    found += [_complaint(node)]
     if numberless(node.last_error) not in numberless(node.message):
         found += [f"last error: {node.last_error}"]
     return [note for note in found if note]

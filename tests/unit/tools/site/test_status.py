@@ -218,6 +218,15 @@ def test_faces_are_told_instead_of_messages_and_each_trouble_once() -> None:
     assert "last error" not in table(SiteStatus("lab", 0, [bridge]))
 
 
+def test_a_loss_is_told_once_also_of_a_node_with_a_complaint() -> None:
+    status = DiagnosticStatus(1, "edge/c9", "lost so far: 5 pictures", "", {"pictures.lost": "5"})
+    tokens = ["lab/alive/edge/c9"]
+    site = summarise("lab", peers=1, tokens=tokens, statuses=[status], known=[])
+    text = table(site, width=1000)
+    assert "the site file has no camera «c9»" in text
+    assert text.count("5 pictures") == 1
+
+
 def test_a_robot_without_a_port_needs_no_bridge(tmp_path: Path) -> None:
     """It speaks ROS 2 on the bus, also where the file does not say so."""
     site = parse_site(site_text(robots=1, more="[robots.r2]"), directory=tmp_path)
