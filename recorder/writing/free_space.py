@@ -93,6 +93,7 @@ def _ends_well(file: Path) -> bool:
 
 def _remove(folder: Path) -> None:
     """A session's recording; what people put beside it stays."""
+    folder = folder.resolve()  # a link is no folder
     for file in [*folder.glob("*.mcap"), folder / "metadata.yaml"]:
         file.unlink(missing_ok=True)
     if not any(folder.iterdir()):
