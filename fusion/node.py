@@ -17,6 +17,7 @@ from trigpoint.contract.messages import CameraInfo, Message, OccupancyGrid
 from trigpoint.contract.topics import command_key
 from trigpoint.map.network import encode_network
 from trigpoint.node.node import Node
+from trigpoint.node.peers import SERVERS
 from trigpoint.node.watchdog import Pulse
 from trigpoint.security.authenticator import correction_signer
 
@@ -42,7 +43,7 @@ from .replaying import Replay
 from .solution_file import SolutionFile
 
 KIND = "fusion"
-NAME = "fusion"
+NAME = SERVERS[KIND]
 
 # An arriving message ends the wait; without one, turns are this far apart.
 _TURN_S = 0.02

@@ -16,6 +16,7 @@ from trigpoint.contract.messages import Diagnostics, Message
 from trigpoint.contract.topics import Topic, command_key
 from trigpoint.map.network import decode_network
 from trigpoint.node.node import Node
+from trigpoint.node.peers import SERVERS
 from trigpoint.node.watchdog import Pulse
 from trigpoint.site.config import Site
 
@@ -32,7 +33,7 @@ from .writing.sink import McapSink, SinkSettings
 __all__ = ["COMMANDS", "FILE", "KIND", "NAME", "Recorder", "session_path", "site_files"]
 
 KIND = "recorder"
-NAME = "main"
+NAME = SERVERS[KIND]
 COMMANDS = ("start", "stop", "split", "save", "status")
 """Queryables under {site}/recorder/; each replies with the status as JSON."""
 _NETWORK_PERIOD_S = 10.0

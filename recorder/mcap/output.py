@@ -80,4 +80,8 @@ class Output:
             ) from None
 
     def close(self) -> None:
-        self._file.close()
+        """A second time does nothing."""
+        if not self._file.closed:
+            with suppress(OSError):  # a child that was forked meanwhile would keep the lock
+                fcntl.flock(self._file, fcntl.LOCK_UN)
+            self._file.close()

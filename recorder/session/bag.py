@@ -125,7 +125,7 @@ class _McapFiles:
     def messages(self, topics: Collection[str]) -> Iterator[Raw]:
         for recording in self._parts:
             if recording.problem:
-                _LOG.warning("%s: not complete: %s", recording.path, recording.problem)
+                _LOG.warning("%s: not whole: %s", recording.path, recording.problem)
             (part,) = recording.parts
             wanted = {number for number, c in part.channels.items() if c.topic in topics}
             decoders = {number: _decoder(part, number) for number in wanted}

@@ -84,7 +84,7 @@ def info_lines(info: SessionInfo) -> list[str]:
         f"{info.chunks} chunks, {sum(key.messages for key in info.keys.values())} messages"
     ]
     if info.problem:
-        lines.append(f"not complete: {info.problem}")
+        lines.append(f"not whole: {info.problem}")
     lines += [
         f"clock set by {jump['seconds']:+.3f} s, {jump['at_s']:.1f} s after the start"
         for jump in info.clock_jumps

@@ -248,7 +248,7 @@ def open_recording(path: Path) -> Recording:
     if problem:
         total = sum(recording.counts.values())
         _LOG.warning(
-            "%s: not complete: %s; its %d sound messages are read (`trigpoint recover` makes a "
+            "%s: not whole: %s; its %d sound messages are read (`trigpoint recover` makes a "
             "whole file of them)",
             file,
             problem,

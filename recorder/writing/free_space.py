@@ -1,7 +1,7 @@
 """Room on the disk: how much is left, and which finished recordings may make more."""
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from glob import escape
 from pathlib import Path
 
@@ -37,8 +37,10 @@ class Room(Struct, frozen=True):
 
     def _too_full(self, running: Path) -> str:
         while (free := free_bytes(running)) < self.minimum_free:
-            oldest = self._oldest(running) if self.frees_oldest else None
-            if oldest is None or oldest.stat().st_dev != running.stat().st_dev:
+            disk = running.stat().st_dev
+            on_disk = (f for f in self._finished(running) if f.stat().st_dev == disk)
+            oldest = next(on_disk, None) if self.frees_oldest else None
+            if oldest is None:
                 return (
                     f"{running}: {free / 1e9:.2f} GB are free, {self.minimum_free / 1e9:.2f}"
                     " GB must stay (minimum_free under [recorder]); make room on the disk"
@@ -48,7 +50,7 @@ class Room(Struct, frozen=True):
 
     def _over_budget(self, running: Path, parts: list[Path]) -> str:
         while self.budget and (taken := self._taken(running)) > self.budget:
-            oldest = self._oldest(running)
+            oldest = next(self._finished(running), None)
             if oldest is not None:
                 _remove(oldest)
             elif parts:
@@ -72,9 +74,10 @@ class Room(Struct, frozen=True):
         time = f"{digits * 8}T{digits * 6}Z"
         return sorted(self.directory.glob(f"{escape(self.prefix)}_{time}"))
 
-    def _oldest(self, running: Path) -> Path | None:
+    def _finished(self, running: Path) -> Iterator[Path]:
+        """Those that may be removed, the oldest first."""
         here = running.resolve()
-        return next((f for f in self._folders() if f.resolve() != here and _is_finished(f)), None)
+        return (f for f in self._folders() if f.resolve() != here and _is_finished(f))
 
 
 def _is_finished(folder: Path) -> bool:
@@ -90,6 +93,7 @@ def _ends_well(file: Path) -> bool:
 
 def _remove(folder: Path) -> None:
     """A session's recording; what people put beside it stays."""
+    folder = folder.resolve()  # a link is no folder
     for file in [*folder.glob("*.mcap"), folder / "metadata.yaml"]:
         file.unlink(missing_ok=True)
     if not any(folder.iterdir()):

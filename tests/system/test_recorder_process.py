@@ -113,7 +113,7 @@ def test_a_killed_recorder_loses_at_most_a_second(
     assert recorded == before[: len(recorded)] or recorded == before[-len(recorded) :]
     lost = [stamp for stamp in before if stamp > recorded[-1]]
     assert len(lost) <= 1.0 / PERIOD_S
-    assert "not complete" in caplog.text
+    assert "not whole" in caplog.text
 
 
 def test_a_recorder_that_is_started_again_goes_on_in_a_file_of_its_own(desk: Desk) -> None:

@@ -127,13 +127,15 @@ class Reader:
             asking.join()
 
     def heard(self) -> list[Diagnostics]:
-        """The newest diagnostics of every node, and the board's own; whoever is missing is in
-        error. Any thread."""
-        missing = (DiagnosticStatus(int(Level.ERROR), name, "", "", {}) for name in self._missing)
-        own = Diagnostics(self._clock.now_ns(), (self._own, *missing))
-        since_s = self._elapsed_s - _HEARD_S
-        found = [(ns, status) for s, ns, status in list(self._statuses.values()) if s > since_s]
-        return [own, *(Diagnostics(stamp_ns, (status,)) for stamp_ns, status in found)]
+        """The newest diagnostics of every node, one each name, and the board's own; whoever is
+        missing is in error, with stamp 0. Any thread."""
+        error, since_s = int(Level.ERROR), self._elapsed_s - _HEARD_S
+        heard = {name: (0, DiagnosticStatus(error, name, "", "", {})) for name in self._missing}
+        for s, stamp_ns, status in sorted(self._statuses.values(), key=lambda one: one[0]):
+            if s > since_s:
+                heard[status.name] = (stamp_ns, status)
+        heard[NAME] = (self._clock.now_ns(), self._own)
+        return [Diagnostics(stamp_ns, (status,)) for stamp_ns, status in heard.values()]
 
     def _read(self, latest: list[tuple[Topic, Latest]]) -> None:
         for topic, incoming in latest:
@@ -245,7 +247,7 @@ class Reader:
         shown["grid"] = None if self._grid is None else self._grid.fields
         now_s = self._elapsed_s
         if link:
-            self._apart_s = now_s
+            self._apart_s, self._missing = now_s, []
         if now_s - self._apart_s > LISTEN_S:
             status = self._status(len(bus.peers))
             self._missing = [node.name for node in status.nodes if node.state in _UNHEARD]

@@ -35,6 +35,7 @@ from .machine import (
 )
 
 _SIGNS = {"ok": "ok     ", "warning": "warning", "error": "ERROR  "}
+_ELSEWHERE = "fine where it is on another machine; else"
 _LIVE = ("v4l2", "rtsp")
 _NO_SITE = """
 site = "doctor"
@@ -169,19 +170,19 @@ def _check_port(site: Site, name: str) -> list[Check]:
     from trigpoint.robot.line.protocol import known_protocols
 
     robot, known = site.robot(name), known_protocols()
+    device = Path(robot.port) if robot.port and robot.port.startswith("/dev/") else None
     if robot.protocol_name not in known:
         text = f"there is no protocol «{robot.protocol_name}» on this machine"
         remedy = f"write one of {', '.join(known)}, or install what has it"
-        return [Check(f"robot {name}", "error", text, remedy)]
-    port = robot.port
-    if port is None or not port.startswith("/dev/"):
-        return []
-    return [_check_device(f"robot {name}", Path(port), "dialout")]
+        if device is not None and device.exists():
+            return [Check(f"robot {name}", "error", text, remedy)]
+        return [Check(f"robot {name}", "warning", text, f"{_ELSEWHERE} {remedy}")]
+    return [_check_device(f"robot {name}", device, "dialout")] if device else []
 
 
 def _check_device(name: str, device: Path, group: str) -> Check:
     if not device.exists():
-        remedy = "fine where it is on another machine; else plug it in or correct the site file"
+        remedy = f"{_ELSEWHERE} plug it in or correct the site file"
         return Check(name, "warning", f"{device} is not on this machine", remedy)
     if not os.access(device, os.R_OK | os.W_OK):
         remedy = f"sudo usermod -aG {group} $USER, then log in again"

@@ -10,7 +10,7 @@ from trigpoint.base.words import loss_words, numberless
 from trigpoint.contract.messages import DiagnosticStatus
 from trigpoint.contract.topics import SIGHTINGS, topic_of
 from trigpoint.node.health import LOST_SO_FAR
-from trigpoint.node.peers import MET
+from trigpoint.node.peers import MET, SERVERS
 
 _NO_GAUGES = frozenset({
     "version",
@@ -122,14 +122,20 @@ def _checked(node: NodeStatus, known: Collection[str]) -> NodeStatus:
         f"the site file has no {_NAMED[kind]} «{name}», so others may leave it out; add it there "
         "and start them again, or stop this one"
     )
-    said = text if node.message == "running" else f"{text}; {node.message}"
+    said = "; ".join(filter(None, (text, _complaint(node))))
     return replace(node, state="warning" if node.state == "ok" else node.state, message=said)
+
+
+def _complaint(node: NodeStatus) -> str:
+    """What a node says is wrong with it, but for its losses, which have numbers of their own."""
+    is_none = node.message == "running" or node.message.startswith(LOST_SO_FAR)
+    return "" if is_none else node.message
 
 
 def _absent(
     expect: Iterable[str] | None, present: set[str], statuses: Iterable[DiagnosticStatus]
 ) -> list[NodeStatus]:
-    """The kinds of node that are expected, but of which none is there."""
+    """The nodes of the kinds that are expected, but of which none is there."""
     if expect is not None:
         kinds, why = set(expect), "expected by the site file (`expect`); not running"
     else:
@@ -139,7 +145,8 @@ def _absent(
             "was running, and is not any more; where the site does not need it, write `expect` at "
             "the top of the site file"
         )
-    return [NodeStatus(kind, "missing", why) for kind in kinds - present]
+    names = [f"{kind}/{SERVERS.get(kind, kind)}" for kind in kinds - present]
+    return [NodeStatus(name, "missing", why) for name in names]
 
 
 def _versions(nodes: list[NodeStatus]) -> dict[str, list[str]]:
@@ -238,8 +245,7 @@ def notes(node: NodeStatus) -> list[str]:
     losses = loss_words(node.losses)
     words = ", ".join(f"{name}: {text}" for name, text in node.words.items() if text)
     found = [rates, words, losses and f"lost: {losses}"]
-    is_told = node.message == "running" or node.message.startswith(LOST_SO_FAR)
-    found += ["" if is_told else node.message]
+    found += [_complaint(node)]
     if numberless(node.last_error) not in numberless(node.message):
         found += [f"last error: {node.last_error}"]
     return [note for note in found if note]

@@ -1,7 +1,7 @@
 """Nodes' diagnostics as Prometheus's families of samples."""
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from itertools import accumulate
 
 from prometheus_client.metrics_core import Metric as Family
@@ -17,7 +17,7 @@ _WHO = {"edge": "camera", "robot": "robot"}
 
 def families(site: str, heard: Iterable[Diagnostics]) -> list[Family]:
     """The families of these diagnostics, one each of a node, in the order of their names. States
-    in words that no row of the table has are left out."""
+    in words that no row of the table has are left out, and a stamp of 0, which is none."""
     found: dict[str, Family] = {}
     for diagnostics in heard:
         for status in diagnostics.statuses:
@@ -56,7 +56,7 @@ def _samples(
     stamp_ns: int, status: DiagnosticStatus
 ) -> Iterator[tuple[Metric, dict[str, str], float | Durations]]:
     kind = status.name.partition("/")[0]
-    own: Mapping[str, str] = {LEVEL: str(status.level), REPORTED: str(stamp_ns)}
+    own = {LEVEL: str(status.level)} | ({REPORTED: str(stamp_ns)} if stamp_ns else {})
     for name, text in (own | status.values).items():
         if is_left_out(name):
             continue

@@ -27,7 +27,7 @@ from trigpoint.contract.cdr import decode, encode
 from trigpoint.contract.messages import Diagnostics, DiagnosticStatus
 from trigpoint.contract.topics import DIAGNOSTICS, alive_key
 
-from .health import Health, Level, Report
+from .health import LOST_SO_FAR, Health, Level, Report
 from .peers import CLOCK_SET_BY, MET, Peers
 from .watchdog import Pulse, Watchdog
 
@@ -293,12 +293,15 @@ class Node:
         self._logged_held = held
 
     def _judge(self, report: Report) -> tuple[Level, str]:
-        """Everything that is wrong, the worst first: none hides another."""
+        """Everything that is wrong, the worst first: none hides another. What was lost is said only
+        where nothing else is: the values have it, and its coming and going is no other complaint.
+        """
         hung = ", ".join(self.watchdog.hung)
         outside = (hung and f"no sign of life of: {hung}", self._peers.complaint())
         found = [(Level.ERROR, text) for text in (*outside, self._connection_complaint())]
         found += [(Level.WARN, self._bus.warning), (report.level, report.message)]
         said = [(level, text) for level, text in found if level is not Level.OK and text]
+        said = [one for one in said if not one[1].startswith(LOST_SO_FAR)]
         if not said:
             return report.level, report.message
         return max(said)[0], "; ".join(text for _, text in sorted(said, key=lambda one: -one[0]))

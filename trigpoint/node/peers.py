@@ -15,7 +15,8 @@ _MOST_DOUBTED = 1000
 _MOST_COMPLAINTS = 20
 MET = "met"
 """Diagnostics value: which servers of the site a node has heard since it started."""
-SERVERS = ("fusion", "recorder")
+SERVERS = {"fusion": "fusion", "recorder": "main"}
+"""The kinds of node of which a site has one: kind -> its name."""
 CLOCK_SET_BY = "clock_set_by"
 """Diagnostics value of a node whose machine's clock was set: by how many seconds."""
 

@@ -13,6 +13,7 @@ from trigpoint.contract.topics import ODOMETRY
 from trigpoint.recorder.mcap.check import check
 from trigpoint.recorder.mcap.index import read_index
 from trigpoint.recorder.mcap.writer import McapWriter
+from trigpoint.recorder.session.info import info_lines, session_info
 from trigpoint.recorder.session.recording import open_recording
 from trigpoint.recorder.session.recover import recover
 
@@ -100,6 +101,19 @@ def test_what_is_damaged_is_named(tmp_path: Path) -> None:
     problem = read_index(path).problem
     assert f"bytes {second.offset - 9} to" in problem
     assert read(path) == [0, 1, 4, 5, 6, 7]
+
+
+def test_a_file_with_its_end_is_said_to_be_damaged_not_to_lack_something(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = write(tmp_path / "s.mcap")
+    data = bytearray(path.read_bytes())
+    data[-10] ^= 0xFF  # the summary's checksum
+    path.write_bytes(data)
+    lines = info_lines(session_info(open_recording(path)))
+    assert read(path) == list(range(2 * CHUNKS))
+    assert "not whole: its summary at the end is damaged" in lines
+    assert "complete" not in "".join([*lines, caplog.text])
 
 
 def test_a_recovered_file_is_sound_and_has_all_that_was(tmp_path: Path) -> None:

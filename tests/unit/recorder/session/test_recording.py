@@ -97,7 +97,7 @@ def test_a_cut_file_is_read_as_far_as_it_is_complete(
     assert times == list(range(len(times)))
     assert times
     assert sum(recording.counts.values()) == len(times)
-    assert caplog.text.count("not complete") == 1
+    assert caplog.text.count("not whole") == 1
 
 
 def test_a_cut_anywhere_is_an_error_or_a_beginning(tmp_path: Path) -> None:

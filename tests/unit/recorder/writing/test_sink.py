@@ -268,6 +268,22 @@ def test_room_is_asked_of_the_disk_that_is_written_to(tmp_path: Path) -> None:
         room = Room(Path(other), least, frees_oldest=True, prefix="lab")
         assert room.problem(tmp_path).startswith(f"{tmp_path}: ")
         assert finished.exists()  # its going would make no room there
+        (tmp_path / finished.parent.name).symlink_to(finished.parent)
+        here = tmp_path / "lab_20260102T000000Z" / "session.mcap"
+        with McapSink(here, clock=SystemClock()) as sink:
+            put(sink, 1)
+        assert replace(room, directory=tmp_path).problem(tmp_path).startswith(f"{tmp_path}: ")
+        assert (finished.exists(), here.exists()) == (True, False)
+
+
+def test_a_session_that_is_a_link_on_the_same_disk_makes_room(tmp_path: Path) -> None:
+    finished = tmp_path / "kept" / "session.mcap"
+    with McapSink(finished, clock=SystemClock()) as sink:
+        put(sink, 1)
+    (tmp_path / "lab_20260101T000000Z").symlink_to(finished.parent)
+    room = Room(tmp_path, 1e30, frees_oldest=True, prefix="lab")
+    assert "must stay" in room.problem(tmp_path)
+    assert not finished.exists()
 
 
 def test_over_the_budget_the_oldest_recordings_go_and_then_finished_parts(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from support.builders import make_site
 
 from trigpoint.base.clock import ManualClock
@@ -21,6 +22,8 @@ from trigpoint.contract.messages import (
     PoseStamped,
 )
 from trigpoint.geometry import Pose
+from trigpoint.metrics.families import families
+from trigpoint.site.config import Site
 from trigpoint.testing.memory_bus import MemoryBroker, MemoryBus
 from trigpoint.tools.board.entities import Entities
 from trigpoint.tools.board.feed import Feed
@@ -34,17 +37,17 @@ _TURNS = 50
 
 
 class Steps(ManualClock):
-    """Has something said in the first turn, and stops whoever waits after some more."""
+    """Has something done in each of these turns, and stops whoever waits after the last."""
 
-    def __init__(self, say: Callable[[], None]) -> None:
+    def __init__(self, turns: dict[int, Callable[[], None]], last: int = _TURNS) -> None:
         super().__init__(10**18)
-        self._say, self._turns = say, 0
+        self._do, self._last, self._turns = turns, last, 0
 
     def wait(self, event: threading.Event, timeout_s: float) -> bool:
         self._turns += 1
-        if self._turns == 1:
-            self._say()
-        if self._turns == _TURNS:
+        if self._turns in self._do:
+            self._do[self._turns]()
+        if self._turns == self._last:
             event.set()
         return super().wait(event, timeout_s)
 
@@ -53,11 +56,15 @@ def shown(say: Callable[[MemoryBus], None]) -> tuple[Entities, Reader]:
     """What the pages show after two and a half seconds in which this was said."""
     broker, feed = MemoryBroker(), Feed()
     with broker.session() as bus, broker.session() as speaking:
-        clock = broker.clock = Steps(lambda: say(speaking))
-        pictures = Pictures(lambda: bus, SITE.name, frozenset(SITE.cameras))
-        reader = Reader(SITE, feed, History(), pictures, about={}, clock=clock)
+        clock = broker.clock = Steps({1: lambda: say(speaking)})
+        reader = reader_of(bus, clock, feed)
         reader.run(bus, threading.Event())
     return feed.whole(), reader
+
+
+def reader_of(bus: MemoryBus, clock: ManualClock, feed: Feed, site: Site = SITE) -> Reader:
+    pictures = Pictures(lambda: bus, site.name, frozenset(site.cameras))
+    return Reader(site, feed, History(), pictures, about={}, clock=clock)
 
 
 def put(
@@ -201,3 +208,48 @@ def test_whom_fusion_corrects_is_known_by_its_report() -> None:
     entities, _ = shown(say)
     assert entities["robot/r2"]["fixed"] == 10**9
     assert "fixed" not in entities["robot/r1"]
+
+
+def test_metrics_have_one_level_of_a_node_also_where_it_comes_back(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Prometheus takes no page with two values of one series."""
+    unreached: list[str] = []
+    monkeypatch.setattr(MemoryBus, "unreached", property(lambda _: tuple(unreached)))
+    site = replace(SITE, expect=("fusion", "recorder"))
+    pages: list[tuple[list[tuple[str, float]], list[str]]] = []
+
+    def look() -> None:
+        found = families(site.name, reader.heard())
+        level, reported = (
+            [(sample.labels["node"], sample.value) for sample in family.samples]
+            for family in found
+            if family.name in ("trigpoint_node_level", "trigpoint_report_timestamp_seconds")
+        )
+        pages.append((sorted(level), sorted(node for node, _ in reported)))
+
+    def speak(node: str, level: int) -> None:
+        status = DiagnosticStatus(level, "edge/c1", "", "pc", {"node": node})
+        report = encode(Diagnostics(1, (status,)))
+        speaking.publisher(topics.DIAGNOSTICS, topics.DIAGNOSTICS.key(site.name)).put(report)
+
+    turns: dict[int, Callable[[], None]] = {
+        65: look,
+        66: partial(unreached.append, "tcp/127.0.0.1:9"),
+        90: look,
+        91: unreached.clear,
+        92: partial(speak, "old", 1),
+        112: partial(speak, "new", 0),
+        134: look,
+    }
+    broker = MemoryBroker()
+    with broker.session() as bus, broker.session() as speaking:
+        clock = broker.clock = Steps(turns, 135)
+        reader = reader_of(bus, clock, Feed(), site)
+        reader.run(bus, threading.Event())
+    absent, apart, back = pages
+    others = ["fusion/fusion", "recorder/main", "robot/r1", "robot/r2", "robot/r3"]
+    missing = [(node, 2.0) for node in ["edge/c1", *others]]
+    assert absent == ([("board", 0.0), *missing], ["board"])
+    assert apart == ([("board", 0.0)], ["board"])
+    assert back == ([("board", 0.0), ("edge/c1", 0.0)], ["board", "edge/c1"])

@@ -102,13 +102,20 @@ def test_every_parts_own_checks_open(part: str) -> None:
         assert finding.level == "ok" or finding.remedy
 
 
-def test_protocol_that_is_not_here_is_told_although_its_port_is_elsewhere(
-    quick: None, tmp_path: Path
+@pytest.mark.parametrize(
+    ("port", "level"),
+    [("/dev/no_port", "warning"), ("tcp://robot:4000", "warning"), ("/dev/null", "error")],
+)
+def test_protocol_that_is_not_here_is_wrong_only_where_the_port_is(
+    quick: None, tmp_path: Path, port: str, level: str
 ) -> None:
-    more = '[robots.r9]\nport = "/dev/no_port"\nprotocol = "trigpiont"\n'
+    """What has it need be installed only on the machine of the robot's bridge."""
+    more = f'[robots.r9]\nport = "{port}"\nprotocol = "trigpiont"\n'
     findings = {finding.name: finding for finding in examine(load_site(write_site(tmp_path, more)))}
-    assert findings["robot r9"].level == "error"
+    assert findings["robot r9"].level == level
     assert "no protocol «trigpiont»" in findings["robot r9"].message
+    told = (findings["robot r9"].remedy or "").startswith("fine where it is on another machine")
+    assert told == (level == "warning")
     assert "create2" in (findings["robot r9"].remedy or "")
 
 

@@ -197,11 +197,11 @@ def test_what_was_seen_alive_or_is_expected_is_missing_where_nobody_runs_it() ->
 
     silent = DiagnosticStatus(0, "recorder/recorder", "running", "", {})
     [(name, why)] = missing(None, bridge, silent)
-    assert (name, "was running" in why) == ("fusion", True)
+    assert (name, "was running" in why) == ("fusion/fusion", True)
     assert missing([], bridge, silent) == []
     assert missing(["recorder"], bridge, silent) == []
     [(name, why)] = missing(["fusion"], bridge, silent)
-    assert (name, "expected by the site file" in why) == ("fusion", True)
+    assert (name, "expected by the site file" in why) == ("fusion/fusion", True)
     unmet = DiagnosticStatus(0, "robot/r1", "running", "", {"met": ""})
     assert missing(None, unmet, silent) == []
 
@@ -216,6 +216,15 @@ def test_faces_are_told_instead_of_messages_and_each_trouble_once() -> None:
     error, last = (f"no corrections for {seconds} s: fusion" for seconds in (21, 11))
     bridge = NodeStatus("robot/r1", "error", error, last_error=last)
     assert "last error" not in table(SiteStatus("lab", 0, [bridge]))
+
+
+def test_a_loss_is_told_once_also_of_a_node_with_a_complaint() -> None:
+    status = DiagnosticStatus(1, "edge/c9", "lost so far: 5 pictures", "", {"pictures.lost": "5"})
+    tokens = ["lab/alive/edge/c9"]
+    site = summarise("lab", peers=1, tokens=tokens, statuses=[status], known=[])
+    text = table(site, width=1000)
+    assert "the site file has no camera «c9»" in text
+    assert text.count("5 pictures") == 1
 
 
 def test_a_robot_without_a_port_needs_no_bridge(tmp_path: Path) -> None:

@@ -129,17 +129,29 @@ def test_nothing_that_is_wrong_hides_another(
     monkeypatch.setattr(MemoryBus, "warning", property(lambda _: ends))
     monkeypatch.setattr(MemoryBus, "unreached", property(lambda _: ("tcp/127.0.0.1:9",)))
     with make_node(bus) as node:
-        node.health.lose("pictures")
         bus.publisher(DIAGNOSTICS, KEY).put(foreign_diagnostics("robot/r1", contract="2"))
         assert eventually(lambda: "speaks contract" in next_status(bus).message)
         outside = next_status(bus)
         node.health.hold("source", "the camera is lost")
         held = next_status(bus)
     assert (outside.level, held.level) == (2, 2)
-    for word in ("speaks contract 2", "nobody answers", "lost so far: 1 picture", ends):
+    for word in ("speaks contract 2", "nobody answers", ends):
         assert word in outside.message, word
     for word in ("speaks contract 2", "nobody answers", "the camera is lost", ends):
         assert word in held.message, word
+
+
+def test_a_complaint_stays_the_same_while_losses_come_and_go(
+    bus: MemoryBus, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else it would be another alarm each time."""
+    ends = "the certificate ends in 3 days"
+    with make_node(bus) as node:
+        node.health.lose("pictures")
+        assert node.diagnostics().statuses[0].message == "lost so far: 1 picture"
+        monkeypatch.setattr(MemoryBus, "warning", property(lambda _: ends))
+        (status,) = node.diagnostics().statuses
+    assert (status.level, status.message, status.values["pictures.lost"]) == (1, ends, "1")
 
 
 def test_garbage_on_the_diagnostics_is_rejected_and_its_sender_named(bus: MemoryBus) -> None:
