@@ -146,7 +146,8 @@ class CorrectionWatch:
 
     def _fusion_says(self) -> str:
         """What of fusion's trouble may be why: what names this robot, corrections, or a hang."""
-        concerns = re.compile(rf"\b({self._robot}|corrections|no sign of life)\b")
+        name = re.escape(self._robot)
+        concerns = re.compile(rf"\b({name}|corrections|no sign of life)\b")
         parts = self._node.trouble_of("fusion").split("; ")
         said = "; ".join(part for part in parts if concerns.search(part))
         return said and f"; fusion says: {textwrap.shorten(said, _MOST_SAID, placeholder=' …')}"
