@@ -1,6 +1,6 @@
 // A face as a picture should show it, drawn small, to be held against the picture.
-#include <cmath>
 #include <stdexcept>
+#include <utility>
 #include <vector>
 
 #include "border.hpp"
@@ -18,12 +18,8 @@ float value_at(const Print& print, const Eigen::Vector2f& place) {
     };
     const float x = within(place.x(), print.width), y = within(place.y(), print.height);
     const int column = static_cast<int>(x), row = static_cast<int>(y);
-    const std::uint32_t four = print.cells[static_cast<std::size_t>(row) * print.width + column];
-    const auto texel = [four](int shift) { return static_cast<float>(four >> shift & 255); };
-    const float across = x - static_cast<float>(column), down = y - static_cast<float>(row);
-    const float above = texel(0) + across * (texel(8) - texel(0));
-    const float below = texel(16) + across * (texel(24) - texel(16));
-    return above + down * (below - above);
+    return between(print.cells[static_cast<std::size_t>(row) * print.width + column],
+                   x - static_cast<float>(column), y - static_cast<float>(row));
 }
 
 }  // namespace

@@ -48,14 +48,7 @@ void sample(const Print& print, const Line& line, int count, float* __restrict v
     }
     std::array<std::uint32_t, MOST_WIDTH> four;
     for (int i = 0; i < count; ++i) four[i] = print.cells[static_cast<std::size_t>(cell[i])];
-    for (int i = 0; i < count; ++i) {
-        const auto texel = [&](int shift) {
-            return static_cast<float>(static_cast<std::int32_t>(four[i] >> shift & 255));
-        };
-        const float above = texel(0) + across[i] * (texel(8) - texel(0));
-        const float below = texel(16) + across[i] * (texel(24) - texel(16));
-        values[i] = (above + down[i] * (below - above)) * (1 / WHITE);
-    }
+    for (int i = 0; i < count; ++i) values[i] = between(four[i], across[i], down[i]) * (1 / WHITE);
 }
 
 // Of `count` values the sums of TAPS others, `apart` in memory, each with its share; added to what

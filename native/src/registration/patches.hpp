@@ -33,6 +33,16 @@ struct Print {
     Eigen::Matrix3d from_face() const;
 };
 
+// The value between the four texels of a cell of a print, 0 to 255, `across` and `down` of it.
+inline __attribute__((always_inline)) float between(std::uint32_t four, float across, float down) {
+    const auto texel = [four](int shift) {
+        return static_cast<float>(static_cast<std::int32_t>(four >> shift & 255));
+    };
+    const float above = texel(0) + across * (texel(8) - texel(0));
+    const float below = texel(16) + across * (texel(24) - texel(16));
+    return above + down * (below - above);
+}
+
 // What a face has around its corners. `points`: in the face frame; `outward`: signs of the axes'
 // directions of a sector that may be printed or not (Kalibr has squares there), 0 without one;
 // `reach`: how far from a corner along both axes is looked at, metres; `square`: of a square,
