@@ -201,9 +201,9 @@ class Search:
         for hypothesis in grown[len(near) :]:
             if hypothesis.score < best + _FAR_WINDOW:
                 far.setdefault(hypothesis.happening, hypothesis)
-        if not self.is_draft:
-            within = min(known, best) + window()
-            self.is_cut |= any(h.score < within for h in near[_MOST_HYPOTHESES:][:1])
+        dropped = near[_MOST_HYPOTHESES:]
+        if dropped and not self.is_draft:
+            self.is_cut |= dropped[0].score < min(known, best) + window()
         return near[:_MOST_HYPOTHESES] + list(far.values())[:_MOST_FAR]
 
     # -- one more visit ---------------------------------------------------------------------------

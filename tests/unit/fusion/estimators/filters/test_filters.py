@@ -24,10 +24,13 @@ from trigpoint.base.errors import ConfigError
 from trigpoint.contract import topics
 from trigpoint.contract.messages import Message, Odometry, PoseArray, Sightings
 from trigpoint.fusion.estimators.filters.contradictions import Step, contradictions
-from trigpoint.fusion.estimators.registry import check_estimator
+from trigpoint.fusion.estimators.registry import check_estimator, make_estimator
 from trigpoint.fusion.estimators.results import Results
+from trigpoint.fusion.model.known_cameras import KnownCameras
 from trigpoint.fusion.model.observations import Verdict
+from trigpoint.fusion.model.readings import Readings
 from trigpoint.fusion.pipeline import Inputs, Pipeline
+from trigpoint.geometry import Pose
 from trigpoint.map.network import encode_network
 
 FILTERS = ["ekf", "particle"]
@@ -58,6 +61,17 @@ def pipeline(drive: Session, estimator: str) -> Pipeline:
 @pytest.fixture(scope="module")
 def found(pipeline: Pipeline) -> Results:
     return pipeline.results()
+
+
+def test_known_cameras_are_there_from_the_first_odometry_on_also_at_stamp_0(
+    drive: Session, estimator: str
+) -> None:
+    poses = {name: camera.map_from_camera for name, camera in drive.plan.cameras.items()}
+    known = KnownCameras(poses, 1e6 * np.eye(6 * len(poses)))
+    filter_ = make_estimator(replace(by(drive.inputs, estimator), known=known).data_set())
+    assert filter_.located_count == 0
+    filter_.add_odometry("r1", Readings.of([Odometry(0, "r1/odom", "r1/base", Pose.identity())]))
+    assert filter_.located_count == len(poses)
 
 
 def test_every_camera_is_found_where_it_is(drive: Session, found: Results) -> None:
