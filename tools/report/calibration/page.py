@@ -14,7 +14,7 @@ from trigpoint.tools.pages.frame import (
     warning,
 )
 from trigpoint.tools.pages.network_map import NetworkMap, Way
-from trigpoint.tools.pages.residual_charts import histogram_drawing, picture_drawing
+from trigpoint.tools.pages.residual_charts import residual_figures
 from trigpoint.tools.pages.svg import camera_colour, element
 
 from .building import building_section
@@ -183,15 +183,7 @@ def _residuals(results: CalibrationResults, name: str, camera: CameraRecord) -> 
     if residuals is None or not residuals.used.any() or camera.intrinsics is None:
         return ""
     size = camera.intrinsics.width, camera.intrinsics.height
-    figures = (
-        picture_drawing(residuals, *size, name=name),
-        histogram_drawing(residuals, name=name),
-    )
-    shown = [
-        element("figure", picture, element("figcaption", escape(words)))
-        for picture, words in figures
-    ]
-    return element("div", *shown, class_="pair")
+    return residual_figures(residuals, *size, name=name)
 
 
 def _moved(camera: CameraRecord) -> str:
