@@ -1,6 +1,7 @@
 """The command `calibrate`: the estimator over a recorded session."""
 
 import math
+import textwrap
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
@@ -21,6 +22,8 @@ from trigpoint.tools.networks.truth import NetworkError, load_truth, network_err
 
 from .report import REPORT, write_report
 from .work import Task, fed, task_of
+
+_WIDTH = 100
 
 
 def main(
@@ -159,7 +162,8 @@ def _print(results: Results, error: NetworkError | None) -> None:
         if camera.status == "located" and not camera.confirmed:
             typer.echo(f"{name} {ON_ONE_SIGHTING}")
     if (chi2 := results.network.statistics.chi2_per_dof) is not None:
-        typer.echo(f"{chi2:.3f}: {noise_words(chi2, results.noise)}")
+        words = f"{chi2:.3f}: {noise_words(chi2, results.noise)}"
+        typer.echo(textwrap.fill(words, _WIDTH, subsequent_indent="  ", break_on_hyphens=False))
     if error and error.distance is not None:
         typer.echo(f"mean error of the distances between cameras: {100 * error.distance:.2f} cm")
         typer.echo(f"errors against the joint covariance, per degree of freedom: {error.nees:.2f}")
