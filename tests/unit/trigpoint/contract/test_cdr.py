@@ -27,7 +27,7 @@ from trigpoint.contract.topics import TOPICS
 from trigpoint.geometry import Pose
 
 
-@settings(max_examples=200)
+@settings(max_examples=100)
 @given(drawn_messages)
 def test_message_survives_the_way_to_bytes_and_back(message: Message) -> None:
     payload = encode(message)
@@ -35,7 +35,7 @@ def test_message_survives_the_way_to_bytes_and_back(message: Message) -> None:
     assert_equal(message, decode(type_name(message), payload), atol=1e-12)
 
 
-@settings(max_examples=200)
+@settings(max_examples=100)
 @given(st.sampled_from(TOPICS), st.binary(max_size=300))
 def test_garbage_is_a_message_error(topic: object, payload: bytes) -> None:
     assert is_refused_or_decoded(getattr(topic, "type_name"), payload)  # noqa: B009

@@ -56,7 +56,7 @@ def is_read(name: str, payload: bytes) -> bool:
         return False
 
 
-@settings(max_examples=300)
+@settings(max_examples=200)
 @given(messages)
 def test_sound_message_is_read_and_written_as_by_its_definition(message: Message) -> None:
     name, payload = type_name(message), encode(message)
@@ -72,7 +72,7 @@ def test_stamp_that_no_message_holds_is_left_to_the_definition(stamp_ns: int) ->
     assert quickly_written(PoseStamped(stamp_ns, "", Pose.identity())) is None
 
 
-@settings(max_examples=300)
+@settings(max_examples=200)
 @given(messages, st.data())
 def test_damaged_message_is_refused_or_read_as_by_its_definition(
     message: Message, data: st.DataObject
@@ -119,7 +119,6 @@ def test_name_of_a_megabyte_is_refused() -> None:
         decode(SIGHTINGS, encode(Sightings(1, "x" * 1_000_000, 640, 480, ())))
 
 
-@settings(max_examples=100)
 @given(st.lists(st.tuples(stamps, poses, vectors), min_size=1, max_size=9), names, names)
 def test_messages_of_one_robot_are_read_at_once_as_each(
     drawn: list[tuple[int, Pose, np.ndarray]], frame: str, child: str
@@ -134,7 +133,6 @@ def test_messages_of_one_robot_are_read_at_once_as_each(
     assert found.rows().tobytes() == expected.rows().tobytes()
 
 
-@settings(max_examples=100)
 @given(st.lists(st.tuples(stamps, poses, covariances), min_size=1, max_size=9), names)
 def test_poses_of_many_are_read_at_once_as_each(
     drawn: list[tuple[int, Pose, np.ndarray]], frame: str
@@ -151,7 +149,6 @@ def test_poses_of_many_are_read_at_once_as_each(
     assert cdr_layout.pose_estimate_run(payloads, f"{frame}/other") is None
 
 
-@settings(max_examples=100)
 @given(estimates, estimates, st.data())
 def test_poses_of_which_one_is_not_sound_are_left_to_each(
     first: PoseEstimate, second: PoseEstimate, data: st.DataObject
@@ -171,7 +168,6 @@ def test_a_run_with_a_name_that_is_too_long_is_left_to_each(name: str) -> None:
     assert (cdr_layout.odometry_run([moved]) is None) is (len(name) > 255)
 
 
-@settings(max_examples=100)
 @given(odometry, odometry, st.data())
 def test_run_with_a_message_that_is_not_sound_is_left_to_each(
     first: Odometry, second: Odometry, data: st.DataObject
