@@ -56,7 +56,7 @@ def is_read(name: str, payload: bytes) -> bool:
         return False
 
 
-@settings(max_examples=200)
+@settings(max_examples=300)
 @given(messages)
 def test_sound_message_is_read_and_written_as_by_its_definition(message: Message) -> None:
     name, payload = type_name(message), encode(message)
@@ -72,7 +72,7 @@ def test_stamp_that_no_message_holds_is_left_to_the_definition(stamp_ns: int) ->
     assert quickly_written(PoseStamped(stamp_ns, "", Pose.identity())) is None
 
 
-@settings(max_examples=200)
+@settings(max_examples=300)
 @given(messages, st.data())
 def test_damaged_message_is_refused_or_read_as_by_its_definition(
     message: Message, data: st.DataObject
