@@ -63,7 +63,8 @@ class Span(Struct, frozen=True):
 class Arrivals:
     """All messages of the site's cameras and robots. `tracks`: the robots' odometry; `seen`:
     camera -> when it saw a target; `unreadable`: camera -> what is wrong with all that it sent;
-    `misdescribed`: camera -> what its pictures show in place of the target file's boards."""
+    `misdescribed`: camera -> what its pictures show in place of the target file's boards;
+    `unused`: camera -> why pictures of it were left out, as the pipeline says."""
 
     def __init__(self, site: Site, tracks: Mapping[str, OdometryTrack]) -> None:
         self._tracks = tracks
@@ -75,6 +76,7 @@ class Arrivals:
         self.seen: dict[str, Span] = {}
         self.unreadable: dict[str, str] = {}
         self.misdescribed: dict[str, str] = {}
+        self.unused: dict[str, str] = {}
 
     def add(self, node: str, message: Message) -> None:
         """Note a message of a camera or robot."""
@@ -123,7 +125,7 @@ class Arrivals:
         reasons = {
             name: f"{_saw(seen)}, none of which could be used" for name, seen in self.seen.items()
         }
-        reasons |= self.apart | self.misdescribed
+        reasons |= self.unused | self.apart | self.misdescribed
         reasons |= {
             name: f"nothing of it could be read: {words}" for name, words in self.unreadable.items()
         }
