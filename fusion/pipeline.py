@@ -109,7 +109,7 @@ class Pipeline:
 
     @property
     def stale_ns(self) -> dict[str, int]:
-        """Robot that sends old odometry now -> by how much its last is older than the one before."""
+        """Robot that sends old odometry now -> by how much that is older than what came before."""
         return dict(self._stale_ns)
 
     def waits_for(self, robot: str) -> bool:
