@@ -236,4 +236,4 @@ def test_calibration_can_be_asked_for(desk: Desk) -> None:
     (reply,) = desk.bus.query(command_key("lab", "camera/c1/calibrate"))
     may_end.set()
     node.wait()
-    assert "1 views of the target were found" in reply.error
+    assert "1 view of the target was found" in reply.error
