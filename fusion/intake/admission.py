@@ -33,6 +33,7 @@ _REMEMBERED_NS = to_ns(5.0)
 """For how long a sender, or a conflict of two under one name, is remembered."""
 _MOST_SENDERS = 8
 _MOST_SHOWN = 100  # letters of a key
+_LONG_S = 10.0  # of what is longer, people want no fractions
 
 
 class Budget:
@@ -212,9 +213,10 @@ class Admission:
                 )
         for key, ahead in self._ahead.items():
             if ahead.is_recent(at_ns):
+                ahead_s = to_seconds(ahead.ahead_ns)
+                by = f"{ahead_s:.0f}" if ahead_s > _LONG_S else f"{ahead_s:.3f}"
                 found[f"ahead {key}"] = (
-                    f"what comes on {key} is stamped {to_seconds(ahead.ahead_ns):.3f} s ahead of "
-                    "this machine's clock and is not used; set the clock of its sender, or of this "
+                    f"what comes on {key} is stamped {by} s ahead of this machine's clock and is not used; set the clock of its sender, or of this "
                     "machine"
                 )
         for key, shed_at_ns in self._shed.items():

@@ -43,7 +43,7 @@ def test_what_is_stamped_far_ahead_is_refused_and_said_and_the_next_one_is_taken
     admission = Admission(make_site())
     assert not admission.takes(sample(), NOW_NS + to_ns(3600.0), 0)
     [text] = admission.troubles(0).values()
-    assert "3600.000 s ahead of this machine's clock" in text
+    assert "3600 s ahead of this machine's clock" in text
     assert admission.takes(sample(), NOW_NS + AHEAD_NS - 1, 1)
     assert not admission.troubles(to_ns(5.0))
 
