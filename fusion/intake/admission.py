@@ -216,8 +216,8 @@ class Admission:
                 ahead_s = to_seconds(ahead.ahead_ns)
                 by = f"{ahead_s:.0f}" if ahead_s > _LONG_S else f"{ahead_s:.3f}"
                 found[f"ahead {key}"] = (
-                    f"what comes on {key} is stamped {by} s ahead of this machine's clock and is not used; set the clock of its sender, or of this "
-                    "machine"
+                    f"what comes on {key} is stamped {by} s ahead of this machine's clock and is "
+                    "not used; set the clock of its sender, or of this machine"
                 )
         for key, shed_at_ns in self._shed.items():
             if at_ns - shed_at_ns < _REMEMBERED_NS:

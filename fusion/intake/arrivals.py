@@ -25,6 +25,10 @@ _NEVER_SET_NS = to_ns(1e8)
 _LONGEST_PERIOD_S = 100.0
 
 
+# Time zones are quarters of hours apart, at most 14 hours from UTC.
+_ZONE_S, _MOST_ZONES, _BEGIN_S = 900.0, 56, 30.0
+
+
 class Span(Struct, frozen=True):
     """From the first stamp to the last of `count` messages."""
 
@@ -140,6 +144,15 @@ def _saw(seen: Span) -> str:
     return f"it saw a target in {counted(seen.count, 'picture')}"
 
 
+def _zones_apart(one: Span, other: Span) -> float:
+    """By how many hours two begin apart, where that is by time zones; else 0. What is recorded at
+    once begins within half a minute."""
+    quarters = to_seconds(one.first_ns - other.first_ns) / _ZONE_S
+    whole = round(abs(quarters))
+    is_by_zones = abs(abs(quarters) - whole) * _ZONE_S < _BEGIN_S and whole <= _MOST_ZONES
+    return whole * _ZONE_S / 3600 if is_by_zones else 0.0
+
+
 def _words(seen: Span, robot: str, odometry: Span) -> str:
     by_start = [
         name
@@ -157,6 +170,11 @@ def _words(seen: Span, robot: str, odometry: Span) -> str:
         why = (
             f"by their stamps these pictures are {seen.period_s:.3g} s apart; are the seconds in "
             "them milli- or nanoseconds?"
+        )
+    elif zones := _zones_apart(seen, odometry):
+        why = (
+            f"they begin {zones:g} h apart, as where one is stamped in local time; stamp both in "
+            "UTC, or synchronise the clocks (chrony)"
         )
     else:
         why = (
