@@ -1,4 +1,5 @@
 import ast
+import errno
 import logging
 import os
 import re
@@ -94,6 +95,23 @@ def test_shell_completes_commands_and_the_options_of_one() -> None:
 
     assert {"review", "replay", "record"} <= set(completed("trigpoint re"))
     assert "--watch" in completed("trigpoint status --")
+
+
+@pytest.mark.parametrize(
+    ("number", "status"),
+    [(errno.ENAMETOOLONG, 2), (errno.EACCES, 2), (errno.EROFS, 2), (errno.ENOSPC, 1)],
+)
+def test_a_file_that_the_system_refuses_is_one_line(
+    number: int, status: int, monkeypatch: pytest.MonkeyPatch, cli: Cli
+) -> None:
+    def refused() -> None:
+        raise OSError(number, os.strerror(number), "/a/session")
+
+    put_command(monkeypatch, refused)
+    words = os.strerror(number)
+    said = cli("edge", status=status)
+    begin = f"trigpoint: /a/session: {words[0].lower()}{words[1:]}; check the path"
+    assert (said.out, said.err[: len(begin)], said.err.count("\n")) == ("", begin, 1)
 
 
 def test_a_name_that_is_no_command_is_said(cli: Cli) -> None:

@@ -66,6 +66,18 @@ def test_board_that_the_picture_contradicts_is_not_found_and_said_at_once(
     assert line.endswith(remedy) or "; compare" in line
 
 
+@pytest.mark.parametrize("distance", [2.2, 2.6])
+def test_board_of_small_markers_is_said_too(distance: float) -> None:
+    """Of a dozen pixels: who looks for squares that touch tags does not see them."""
+    true = charuco(5, 4)
+    picture = picture_of([placed(true, distance=distance, turn_deg=10, yaw_deg=15)])
+    assert detector_for([target_of(true)]).detect(picture)
+    detector = detector_for([target_of(replace(true, dictionary="DICT_5X5_250"))])
+    assert detector.detect(picture) == ()
+    [line] = detector.misdescribed
+    assert line.endswith('write dictionary = "DICT_4X4_250"')
+
+
 @pytest.mark.parametrize(
     ("described", "remedy"),
     [
