@@ -12,7 +12,7 @@ constexpr int ROUNDS = 6, ROUGH_ROUNDS = 2;
 // And more, for those corners alone, if few, that have not settled by then: boards curl.
 constexpr int LATE_ROUNDS = 4;
 constexpr std::size_t MOST_LATE = 8;
-// By how many corners a face is first brought near, or its blur is first told.
+// By how many corners a face is first brought near.
 constexpr std::size_t ROUGH_CORNERS = 16;
 // By how much a picture is softened where corners are off by more than its own blur, pixel².
 constexpr double SOFTENING = 1.6;
@@ -72,15 +72,6 @@ Points points_of(const CornerPattern& pattern, const std::vector<int>& ids) {
     return points;
 }
 
-// Of n corners some from all over the face, the first and the last too.
-std::vector<std::size_t> spread(std::size_t n) {
-    std::vector<std::size_t> some;
-    const std::size_t count = std::min(n, ROUGH_CORNERS);
-    for (std::size_t i = 0; i < count; ++i)
-        some.push_back(count > 1 ? (2 * i * (n - 1) + count - 1) / (2 * (count - 1)) : 0);
-    return some;
-}
-
 std::vector<char> clear_of(const Alignment& found) {
     std::vector<char> clear;
     for (const auto& corner : found.corners) clear.push_back(corner.is_clear);
@@ -135,12 +126,16 @@ PartOfPicture softened(const Grey& grey, const std::vector<Eigen::Vector2d>& pix
     return part;
 }
 
-// Brings a fit to within a pixel, in the softened picture, by some corners; whether it still is
-// far.
+// Brings a fit to within a pixel, in the softened picture, by corners from all over the face, the
+// first and the last too; whether it still is far.
 bool approach(const Grey& grey, const CornerPattern& pattern, PlanarFit& fit,
               const std::vector<int>& all, const Blur& blur) {
     Corners corners;
-    for (const std::size_t i : spread(all.size())) corners.ids.push_back(all[i]);
+    const std::size_t count = std::min(all.size(), ROUGH_CORNERS);
+    for (std::size_t i = 0; i < count; ++i) {
+        const double at = count > 1 ? double(i) * double(all.size() - 1) / double(count - 1) : 0;
+        corners.ids.push_back(all[static_cast<std::size_t>(std::nearbyint(at))]);
+    }
     const Points points = points_of(pattern, corners.ids);
     for (const int id : corners.ids) corners.pixels.push_back(fit.project(pattern.points.row(id)));
     std::vector<std::uint8_t> memory;
@@ -151,7 +146,7 @@ bool approach(const Grey& grey, const CornerPattern& pattern, PlanarFit& fit,
         for (const auto& pixel : corners.pixels) corners.nearest.push_back(rounded(pixel));
         const Alignment found = aligned(soft, pattern, fit, corners, blur.softened(SOFTENING),
                                         LONGEST_ROUGH_STEP_PX, std::nullopt, true);
-        for (std::size_t i = 0; i < corners.ids.size(); ++i)
+        for (std::size_t i = 0; i < count; ++i)
             if (found.corners[i].is_clear) corners.pixels[i] += found.corners[i].step;
         refit(fit, points, corners.pixels, clear_of(found));
         if (found.usual_length() < NEAR_STEP_PX) return false;
@@ -224,8 +219,6 @@ Registration registered(const Grey& grey, const CornerPattern& pattern, const Pl
         face.corners.pixels.push_back(is_sane(pixel) ? pixel : Eigen::Vector2d(-1e3, -1e3));
         face.corners.nearest.push_back(rounded(face.corners.pixels.back()));
     }
-    if (!starts.empty() && n > 2 * ROUGH_CORNERS)
-        face.blur = face.moved(spread(n), std::nullopt, is_far).blur;
     Alignment found = face.moved(every, std::nullopt, is_far);
     face.blur = found.blur;
     double usual = found.usual_length(), before = std::numeric_limits<double>::infinity();
