@@ -285,8 +285,7 @@ def _is_among(located: Located, found: Sequence[Located]) -> bool:
     for other in found:
         if other.look is not located.look:
             continue
-        near = np.abs(other.found.middle - located.found.middle)
-        if located.look.is_unique or np.all(near < 0.25 * other.found.extent):
+        if located.look.is_unique or located.found.is_near(other.found):
             return True
     return False
 

@@ -18,7 +18,13 @@ from trigpoint.edge.image.time_limit import IsOver, never
 from trigpoint.edge.registration.appearance import Appearance
 from trigpoint.edge.registration.corner_pattern import CornerPattern
 from trigpoint.edge.registration.finder import FaceFinder
-from trigpoint.edge.registration.measurement import Located, in_view, measured, placed_again
+from trigpoint.edge.registration.measurement import (
+    Located,
+    Measured,
+    in_view,
+    measured,
+    placed_again,
+)
 from trigpoint.edge.registration.planar_fit import PlanarFit
 from trigpoint.edge.registration.plane_fitting import settled_fit
 from trigpoint.geometry.rotation import Array
@@ -75,7 +81,7 @@ class CheckerboardDetector(FaceFinder):
         """A board that was found before and now lies about where `fit` has it.
 
         Moved by a square each way, or by two, a board matches itself but for its outermost squares,
-        so those must be there.
+        so those must be there, or where the picture cuts them off, the others must leave no doubt.
         """
         face = last.look.face
         grey = _shown(grey, face)
@@ -88,16 +94,19 @@ class CheckerboardDetector(FaceFinder):
         there, is_rough = place
         if there is not fit and not is_in_view(grey, face, there):
             return None
-        blur = last.found.blur
-        found = measured(grey, pattern, there, blur=blur, is_rough=is_rough)
-        if found is None:
+        found = measured(
+            grey,
+            pattern,
+            there,
+            blur=last.found.blur,
+            is_rough=is_rough,
+            last=last.found.corners,
+            least_again=TUNING.least_again,
+        )
+        if found is None or not _is_there(grey, face, found):
             return None
-        size = (grey.shape[1], grey.shape[0])
-        still = in_view(found.fit, pattern.points[last.found.corners], size)
-        if len(found.corners) < TUNING.least_again * still:
-            return None
-        is_there = weighed(grey, face, found.fit, found.corners, found.pixels).is_board
-        return Located(last.look, found) if is_there else None
+        is_sure = there is fit or keeps_its_place(last.look, found, (grey.shape[1], grey.shape[0]))
+        return Located(last.look, found) if is_sure else None
 
     def _search(
         self, search: GridSearch, corners: int, source: "_Source", allowance: "_Allowance"
@@ -121,7 +130,7 @@ class CheckerboardDetector(FaceFinder):
             if len(board.rest) >= max(self._least, LEAST_CORNERS):
                 waiting.append(board.rest)
             sighting = _measured(board, source, is_over)
-            if sighting and not any(_same_place(sighting, other) for other in found):
+            if sighting and not any(sighting.found.is_near(other.found) for other in found):
                 found.append(sighting)
                 self._expect_no_other(sighting.look)  # it is described as it is
         return found
@@ -216,10 +225,14 @@ def _measured(board: Placement, source: "_Source", is_over: IsOver) -> Located |
     found = measured(grey, CornerPattern.of(face), fit, starts=starts)
     if found is None or len(found.corners) < TUNING.least_share * face.corner_count:
         return None
-    if not keeps_its_place(board.look, found.corners, found.pixels, found.fit, size):
+    if not keeps_its_place(board.look, found, size):
         return None
-    is_there = weighed(grey, face, found.fit, found.corners, found.pixels).is_board
-    return Located(board.look, found) if is_there else None
+    return Located(board.look, found) if _is_there(grey, face, found) else None
+
+
+def _is_there(grey: np.ndarray, face: Face, found: Measured) -> bool:
+    """Whether the squares say that a board is where it was measured."""
+    return weighed(grey, face, found.fit, found.corners, found.pixels).is_board
 
 
 def _shown(grey: np.ndarray, face: Face) -> np.ndarray:
@@ -232,9 +245,3 @@ def is_in_view(grey: np.ndarray, face: Face, fit: PlanarFit) -> bool:
     leaving it."""
     seen = in_view(fit, CornerPattern.of(face).points, (grey.shape[1], grey.shape[0]))
     return seen >= TUNING.least_share * face.corner_count
-
-
-def _same_place(first: Located, second: Located) -> bool:
-    """Whether two sightings are the same board, found from two grids."""
-    apart = np.abs(first.found.middle - second.found.middle)
-    return bool(np.all(apart < 0.25 * second.found.extent))

@@ -14,8 +14,9 @@ _WEIGHED = Kernel(
     In(np.uint8, ("h", "w")),
     int,
     int,
+    float,
     In(np.float64, (FIT,)),
-    In(np.float64, ("n",)),
+    In(np.int64, ("n",)),
     In(np.float64, ("n", 2)),
     Out(np.float64, (5,)),
 )
@@ -42,8 +43,9 @@ def weighed(
         np.ascontiguousarray(grey),
         face.columns - 1,
         face.rows - 1,
-        fit.scaled(face.square).packed,
-        ids.astype(float),
+        face.square,
+        fit.packed,
+        ids,
         np.ascontiguousarray(pixels, float),
         told,
     )

@@ -6,6 +6,7 @@ import numpy as np
 from msgspec import Struct
 
 from trigpoint.edge.registration.appearance import Appearance
+from trigpoint.edge.registration.measurement import Measured
 from trigpoint.edge.registration.planar_fit import FIT, PlanarFit
 from trigpoint.geometry.rotation import Array
 from trigpoint.native.library import In, Kernel, Out
@@ -67,13 +68,14 @@ def placed(
     return Placement(looks[int(which[0])], ids[on_board].astype(int), board, grid.only(~on_board))
 
 
-def keeps_its_place(
-    look: Appearance, ids: np.ndarray, pixels: Array, fit: PlanarFit, size: tuple[int, int]
-) -> bool:
-    """Whether corners `ids` (n,) at `pixels` (n, 2), measured, still leave no doubt which they are:
-    some that spoke for the place may have turned out to be none."""
-    face = look.face
+def keeps_its_place(look: Appearance, found: Measured, size: tuple[int, int]) -> bool:
+    """Whether measured corners leave no doubt which they are: some that spoke for the place may
+    have turned out to be none. `size`: of the picture."""
+    face, ids = look.face, found.corners
     places = np.stack([ids % (face.columns - 1), ids // (face.columns - 1)], axis=-1).astype(int)
     is_dark = (places.sum(axis=1) % 2 == 0) ^ face.inverted
-    again = placed(Grid(places, pixels, is_dark), [look], size, fit.scaled(face.square))
-    return again is not None and len(again.ids) == len(ids)
+    fit = found.fit.scaled(face.square)
+    again = placed(Grid(places, found.pixels, is_dark), [look], size, fit)
+    # What a board looks like after half a turn, it may be.
+    either = ids, face.corner_count - 1 - ids
+    return again is not None and any(np.array_equal(again.ids, same) for same in either)

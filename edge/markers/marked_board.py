@@ -9,7 +9,6 @@ from trigpoint.edge.registration.corner_pattern import CornerPattern
 from trigpoint.edge.registration.measurement import (
     LEAST_CORNERS,
     Measured,
-    in_view,
     measured,
     placed_again,
 )
@@ -112,12 +111,16 @@ class MarkedBoard(Struct, frozen=True, eq=False):
         if place is None or is_over():
             return None
         there, is_rough = place
-        found = measured(grey, self.pattern, there, blur=last.blur, is_rough=is_rough)
+        found = measured(
+            grey,
+            self.pattern,
+            there,
+            blur=last.blur,
+            is_rough=is_rough,
+            last=last.corners,
+            least_again=LEAST_AGAIN,
+        )
         if found is None:
-            return None
-        size = (grey.shape[1], grey.shape[0])
-        still = in_view(found.fit, self.pattern.points[last.corners], size)
-        if len(found.corners) < LEAST_AGAIN * still:
             return None
         quads = self._placed(found.fit)
         numbers = np.flatnonzero(_are_inside(grey, quads))

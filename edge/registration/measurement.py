@@ -24,15 +24,17 @@ _MEASURED = Kernel(
     In(np.uint8, ("h", "w")),
     Print,
     In(np.float64, (FIT,)),
-    In(np.float64, ("n", 2)),
-    int,
+    In(np.float64, ("m", 2)),
     In(np.float64, (4,)),
     int,
-    Out(np.float64, ("n",)),
+    In(np.int64, ("k",)),
+    float,
+    Out(np.int64, ("n",)),
     Out(np.float64, ("n", 2)),
     Out(np.float64, (5,)),
     Out(np.float64, (FIT,)),
 )
+_NO_STARTS, _NO_CORNERS = np.empty((0, 2)), np.empty(0, np.int64)
 _IN_VIEW = Kernel("tp_in_view", In(np.float64, (FIT,)), In(np.float64, ("n", 2)), int, int)
 
 
@@ -56,6 +58,10 @@ class Measured(Struct, frozen=True):
         """The pixels' width and height, (2,)."""
         return np.maximum.reduce(self.pixels) - np.minimum.reduce(self.pixels)
 
+    def is_near(self, other: "Measured") -> bool:
+        """Whether both are in one place, as two sightings of one face are."""
+        return bool(np.all(np.abs(self.middle - other.middle) < 0.25 * other.extent))
+
 
 class Located(Struct, frozen=True):
     """A face that was found: its look, and where its corners are; `variant`: which of the ways to
@@ -76,27 +82,32 @@ def measured(
     pattern: CornerPattern,
     fit: PlanarFit,
     *,
-    starts: Array | None = None,
+    starts: Array = _NO_STARTS,
     blur: Blur = SHARP,
     is_rough: bool = False,
+    last: np.ndarray = _NO_CORNERS,
+    least_again: float = 0.0,
 ) -> Measured | None:
     """Every corner that the picture shows of a face that lies about where `fit` has it: to a pixel
     or so, or to two or three where `is_rough`.
 
     `starts`: (m, 2) for every corner of the face, where it was found already, not a number where
     not; `blur`: of the picture there, as it was last. None where the picture shows none, or those
-    that it shows lie on no plane.
+    that it shows lie on no plane, or are less than `least_again` of those of `last` (k,), corners,
+    that are in view.
     """
     count = len(pattern.points)
-    ids, pixels, numbers, found = np.empty(count), np.empty((count, 2)), np.empty(5), np.empty(FIT)
+    ids, pixels = np.empty(count, np.int64), np.empty((count, 2))
+    numbers, found = np.empty(5), np.empty(FIT)
     seen = _MEASURED(
         np.ascontiguousarray(grey),
         pattern.core,
         fit.packed,
-        pixels.copy() if starts is None else starts,
-        starts is not None,
+        starts,
         np.array([*blur.variances, blur.response]),
         is_rough,
+        last,
+        least_again,
         ids,
         pixels,
         numbers,
@@ -105,7 +116,7 @@ def measured(
     if seen == 0:
         return None
     return Measured(
-        ids[:seen].astype(int),
+        ids[:seen],
         pixels[:seen],
         float(numbers[0]),
         Blur(numbers[1:4].copy(), float(numbers[4])),

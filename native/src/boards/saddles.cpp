@@ -122,9 +122,10 @@ void might_peak(const float* __restrict above, const float* __restrict here,
                 std::int64_t count) {
     for (std::int64_t x = 1; x < count - 1; ++x) {
         const float value = here[x];
-        const int is_peak = (value > least) & (value >= here[x - 1]) & (value >= here[x + 1]) &
-                            (value >= above[x]) & (value >= below[x]);
-        to[x] = static_cast<std::uint8_t>(is_peak);
+        const float beside = here[x - 1] > here[x + 1] ? here[x - 1] : here[x + 1],
+                    across = above[x] > below[x] ? above[x] : below[x],
+                    most = beside > across ? beside : across;
+        to[x] = static_cast<std::uint8_t>((value > least) & (value >= most));
     }
 }
 
@@ -223,18 +224,19 @@ void Curvature::peaks(std::int64_t y) {
     const float* here = strength(y);
     might_peak(strength(y - 1), here, strength(y + 1), LEAST_STRENGTH * LEAST_STRENGTH,
                might_peak_.data(), width_);
+    const std::array<const float*, 5> rows = {strength(y - 1), strength(y + 1), strength(y - 2),
+                                              strength(y + 2), here};
     const std::uint8_t *first = might_peak_.data(), *end = first + width_ - MARGIN;
     for (const std::uint8_t* at = first + MARGIN; at < end; ++at) {
         at = static_cast<const std::uint8_t*>(std::memchr(at, 1, end - at));
         if (at == nullptr) break;
         const std::int64_t x = at - first;
         const float value = here[x];
-        bool is_peak = true;
-        for (std::int64_t row = y - 2; row <= y + 2 && is_peak; ++row) {
-            const float* other = strength(row) + x;
-            is_peak = other[-2] <= value && other[-1] <= value && other[0] <= value &&
-                      other[1] <= value && other[2] <= value;
-        }
+        // The nearest first, as most are no peak.
+        const bool is_peak = std::all_of(rows.begin(), rows.end(), [&](const float* row) {
+            return row[x - 1] <= value && row[x + 1] <= value && row[x - 2] <= value &&
+                   row[x + 2] <= value && row[x] <= value;
+        });
         if (is_peak) candidates_.push_back({value, {static_cast<float>(x), static_cast<float>(y)}});
     }
 }

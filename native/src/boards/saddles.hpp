@@ -9,6 +9,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "image/memory.hpp"
 #include "image/picture.hpp"
 
 namespace trigpoint {
@@ -65,7 +66,8 @@ private:
     Bends bends(std::int64_t x, std::int64_t y) const;
 
     std::int64_t width_ = 0, height_ = 0;
-    std::vector<float> padded_, across_, smooth_, strength_;
+    std::vector<float> padded_, across_, strength_;
+    std::vector<float, LargePages<float>> smooth_;
     std::vector<std::uint8_t> might_peak_;
     std::vector<Candidate> candidates_;
     std::vector<Saddle> saddles_;

@@ -148,26 +148,30 @@ TRIGPOINT_KERNEL(tp_placed) {
     return count;
 }
 
-// (grey (h, w), columns, rows, fit of places, ids (n,), pixels (n, 2), evidence (5): of the board,
+// (grey (h, w), columns, rows, square, fit, ids (n,), pixels (n, 2), evidence (5): of the board,
 // and of its ends): 1 where no doubt is left that it is there.
 TRIGPOINT_KERNEL(tp_weighed) {
     const Grey grey = Grey::of(arguments[0].array);
     if (grey.width < 1 || grey.height < 1) return 0;
     const BoardShape shape = shape_of(static_cast<double>(arguments[1].whole),
                                       static_cast<double>(arguments[2].whole), 0);
-    const PlanarFit fit = PlanarFit::unpacked(arguments[3].array.as<double>());
-    const auto numbers = arguments[4].array.rows<1>();
-    const auto rows = arguments[5].array.rows<2>();
+    const double square = arguments[3].number;
+    PlanarFit fit = PlanarFit::unpacked(arguments[4].array.as<double>());
+    fit.homography.leftCols<2>() *= square;  // from places
+    fit.bend.middle /= square, fit.bend.half /= square;
+    const Array& numbers = arguments[5].array;
+    const auto rows = arguments[6].array.rows<2>();
     std::vector<int> ids;
     std::vector<Eigen::Vector2d> pixels;
-    for (Eigen::Index i = 0; i < numbers.size(); ++i) {
-        if (!(numbers(i) >= 0 && numbers(i) < shape.count()))
+    for (std::int64_t i = 0; i < numbers.shape[0]; ++i) {
+        const std::int64_t id = numbers.as<const std::int64_t>()[i];
+        if (!(id >= 0 && id < shape.count()))
             throw std::invalid_argument("a corner is none of the board's");
-        ids.push_back(static_cast<int>(numbers(i)));
+        ids.push_back(static_cast<int>(id));
         pixels.emplace_back(rows.row(i));
     }
     const Evidence found = weighed(grey, shape, fit, ids, pixels);
-    auto told = arguments[6].array.rows<1>();
+    auto told = arguments[7].array.rows<1>();
     told(0) = found.board;
     for (int side = 0; side < 4; ++side)
         told(side + 1) = found.ends[static_cast<std::size_t>(side)];

@@ -155,7 +155,7 @@ Alignment aligned(const PartOfPicture& part, const CornerPattern& pattern, const
     std::vector<Match> matches(n);
     std::vector<Patch> patch(1);  // 8 kB
     const auto draw = [&](std::size_t i) {
-        drawer.draw(corners.ids[i], corners.pixels[i], corners.nearest[i], is_light_even, patch[0]);
+        drawer.draw(i, corners.pixels[i], corners.nearest[i], is_light_even, patch[0]);
     };
     for (std::size_t i = 0; i < n; ++i) {
         draw(i);

@@ -188,36 +188,46 @@ TRIGPOINT_KERNEL(tp_pattern_print) {
     return 0;
 }
 
-// (grey (h, w), pattern, fit, starts (n, 2), has starts, blur (4), is rough, corners (n,), pixels
-// (n, 2), numbers: sigma and blur (5), fit out): how many corners there are.
+// (grey (h, w), pattern, fit, starts (n, 2) or none, blur (4), is rough, last corners (k,), least
+// again, corners (n,), pixels (n, 2), numbers: sigma and blur (5), fit out): how many corners there
+// are; none where they are less than that share of the last ones that are in view.
 TRIGPOINT_KERNEL(tp_measured) {
     const Grey grey = Grey::of(arguments[0].array);
     const auto& pattern = *static_cast<const CornerPattern*>(arguments[1].object);
     const PlanarFit fit = PlanarFit::unpacked(arguments[2].array.as<double>());
     const auto rows = arguments[3].array.rows<2>();
-    if (pattern.prints.empty() || rows.rows() != pattern.points.rows())
+    const Array &last = arguments[6].array, &corners = arguments[8].array;
+    if (pattern.prints.empty() || corners.shape[0] != pattern.points.rows() ||
+        (rows.rows() != 0 && rows.rows() != pattern.points.rows()))
         throw std::invalid_argument("the pattern is not that of the corners");
     std::vector<Eigen::Vector2d> starts;
-    if (arguments[4].whole != 0)
-        for (Eigen::Index i = 0; i < rows.rows(); ++i) starts.push_back(rows.row(i));
-    const auto given = arguments[5].array.rows<1>();
+    for (Eigen::Index i = 0; i < rows.rows(); ++i) starts.push_back(rows.row(i));
+    const auto given = arguments[4].array.rows<1>();
     const Blur blur{given.head<3>(), given(3)};
     if (grey.width < 1 || grey.height < 1 || !fit.homography.allFinite() || !given.allFinite())
         return 0;
-    const auto found = measured(grey, pattern, fit, starts, blur, arguments[6].whole != 0);
+    const auto found = measured(grey, pattern, fit, starts, blur, arguments[5].whole != 0);
     if (!found) return 0;
-    auto corners = arguments[7].array.rows<1>();
-    auto pixels = arguments[8].array.rows<2>();
     const auto count = static_cast<Eigen::Index>(found->corners.size());
+    double still = 0;
+    for (std::int64_t i = 0; i < last.shape[0]; ++i) {
+        const std::int64_t id = last.as<const std::int64_t>()[i];
+        if (!(id >= 0 && id < pattern.points.rows()))
+            throw std::invalid_argument("a corner is none of the pattern's");
+        still +=
+            is_in_view(found->fit, pattern.points.row(id), double(grey.width), double(grey.height));
+    }
+    if (static_cast<double>(count) < arguments[7].number * still) return 0;
+    auto pixels = arguments[9].array.rows<2>();
     for (Eigen::Index i = 0; i < count; ++i) {
-        corners(i) = found->corners[i];
+        corners.as<std::int64_t>()[i] = found->corners[i];
         pixels.row(i) = found->pixels[i].transpose();
     }
-    auto numbers = arguments[9].array.rows<1>();
+    auto numbers = arguments[10].array.rows<1>();
     numbers(0) = found->sigma;
     numbers.segment<3>(1) = found->blur.variances;
     numbers(4) = found->blur.response;
-    found->fit.pack(arguments[10].array.as<double>());
+    found->fit.pack(arguments[11].array.as<double>());
     return count;
 }
 

@@ -248,7 +248,7 @@ Drawer::Drawer(const PartOfPicture& part, const CornerPattern& pattern, const Pl
                const std::vector<int>& ids, const Blur& blur)
     : part_(part),
       pattern_(pattern),
-      fit_(fit),
+      ids_(ids),
       print_(nullptr),
       texel_from_pixel_(fit),
       kernel_(blur.kernel(LATTICE)),
@@ -260,6 +260,7 @@ Drawer::Drawer(const PartOfPicture& part, const CornerPattern& pattern, const Pl
         const Eigen::Vector2d across =
             fit.project(point + Eigen::Vector2d(pattern.reach, 0)) - here;
         const Eigen::Vector2d down = fit.project(point + Eigen::Vector2d(0, pattern.reach)) - here;
+        places_.push_back(here);
         longest = std::max(longest, (across.cwiseAbs() + down.cwiseAbs()).maxCoeff());
         reaches.push_back((across.norm() + down.norm()) / 2);
     }
@@ -270,10 +271,10 @@ Drawer::Drawer(const PartOfPicture& part, const CornerPattern& pattern, const Pl
     texel_from_pixel_ = Unprojection(fit, print_->from_face());
 }
 
-void Drawer::draw(int id, const Eigen::Vector2d& pixel, const Eigen::Vector2d& nearest,
+void Drawer::draw(std::size_t i, const Eigen::Vector2d& pixel, const Eigen::Vector2d& nearest,
                   bool is_light_even, Patch& patch) const {
-    const Eigen::Vector2d point = pattern_.points.row(id), out = pattern_.outward.row(id);
-    const Eigen::Vector2d middle = nearest - (pixel - fit_.project(point));
+    const Eigen::Vector2d point = pattern_.points.row(ids_[i]), out = pattern_.outward.row(ids_[i]);
+    const Eigen::Vector2d middle = nearest - (pixel - places_[i]);
     const Quadratic texels(texel_from_pixel_, middle, STENCIL * (half_ + MARGIN_PX));
     const int side = 2 * half_ + 1, soft_side = LATTICE * (side - 1) + 1 + 2 * EDGE;
     const int width = soft_side + 2 * kernel_.radius;

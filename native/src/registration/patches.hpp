@@ -85,9 +85,10 @@ public:
     Drawer(const PartOfPicture& part, const CornerPattern& pattern, const PlanarFit& fit,
            const std::vector<int>& ids, const Blur& blur);
 
-    // The patch of a corner about the whole pixel `nearest`, the pattern moved from where the fit
-    // has it so that the corner lies at `pixel`; `is_light_even`: without a rise of the light.
-    void draw(int id, const Eigen::Vector2d& pixel, const Eigen::Vector2d& nearest,
+    // The patch of the i-th corner about the whole pixel `nearest`, the pattern moved from where
+    // the fit has it so that the corner lies at `pixel`; `is_light_even`: without a rise of the
+    // light.
+    void draw(std::size_t i, const Eigen::Vector2d& pixel, const Eigen::Vector2d& nearest,
               bool is_light_even, Patch& patch) const;
 
 private:
@@ -95,7 +96,8 @@ private:
 
     const PartOfPicture& part_;
     const CornerPattern& pattern_;
-    const PlanarFit& fit_;
+    const std::vector<int>& ids_;
+    std::vector<Eigen::Vector2d> places_;
     const Print* print_;
     Unprojection texel_from_pixel_;
     Kernel kernel_;

@@ -1,6 +1,7 @@
 #include "registration/planar_fit.hpp"
 
 #include <Eigen/Dense>
+#include <algorithm>
 #include <array>
 #include <cmath>
 
@@ -8,6 +9,8 @@ namespace trigpoint {
 namespace {
 
 constexpr int NEWTON_STEPS = 4;
+// After a step of such a share the next one is of its square.
+constexpr double SETTLED = 1e-5;
 // Of the quadratic's slope, how much at least is left with the second coefficient.
 constexpr double LEAST_SLOPE = 0.1;
 // So many corners to every number of a bend, or it would take up wild corners too.
@@ -20,15 +23,15 @@ using Terms = Eigen::Matrix<double, Bend::MOST_TERMS, 1>;
 int count_of(int degree) { return (degree + 1) * (degree + 2) / 2 - 3; }
 
 // Products of Legendre polynomials of degree 2 and more at a place of -1 to 1.
-Terms terms_at(const Eigen::Vector2d& place, int degree) {
+Terms terms_at(const Eigen::Vector2d& place) {
     std::array<Eigen::Vector2d, MOST_DEGREE + 1> lines;
     lines[0].setOnes();
     lines[1] = place;
-    for (int n = 1; n < degree; ++n)
+    for (int n = 1; n < MOST_DEGREE; ++n)
         lines[n + 1] = ((2 * n + 1) * place.cwiseProduct(lines[n]) - n * lines[n - 1]) / (n + 1);
-    Terms terms = Terms::Zero();
+    Terms terms;
     int term = 0;
-    for (int n = 2; n <= degree; ++n) {
+    for (int n = 2; n <= MOST_DEGREE; ++n) {
         for (int i = 0; i <= n; ++i) terms(term++) = lines[i].x() * lines[n - i].y();
     }
     return terms;
@@ -40,7 +43,7 @@ Eigen::Vector2d Bend::at(const Eigen::Vector2d& point) const {
     if (degree == 0) return Eigen::Vector2d::Zero();
     const Eigen::Vector2d place =
         (point - middle).cwiseQuotient(half).cwiseMax(-BEYOND).cwiseMin(BEYOND);
-    return values.transpose() * terms_at(place, degree);
+    return values.transpose() * terms_at(place);
 }
 
 Bend Bend::of(const PointsIn& points, const PointsIn& left) {
@@ -58,7 +61,7 @@ Bend Bend::of(const PointsIn& points, const PointsIn& left) {
     for (Eigen::Index i = 0; i < points.rows(); ++i) {
         const Eigen::Vector2d place =
             (points.row(i).transpose() - bend.middle).cwiseQuotient(bend.half);
-        const Terms terms = terms_at(place, degree);
+        const Terms terms = terms_at(place);
         normal += terms * terms.transpose();
         right += terms * left.row(i);
     }
@@ -88,7 +91,8 @@ PlanarFit PlanarFit::unpacked(const double* numbers) {
     fit.bend.half = {numbers[18], numbers[19]};
     const double degree = numbers[20];
     fit.bend.degree = degree >= 2 && degree <= MOST_DEGREE ? static_cast<int>(degree) : 0;
-    for (int i = 0; i < 2 * Bend::MOST_TERMS; ++i) fit.bend.values(i / 2, i % 2) = numbers[21 + i];
+    for (int i = 0; i < 2 * count_of(fit.bend.degree); ++i)
+        fit.bend.values(i / 2, i % 2) = numbers[21 + i];
     return fit;
 }
 
@@ -148,7 +152,9 @@ double share_of(const Eigen::Vector3d& ray, const Eigen::Vector2d& radial) {
         const double square = share * share, lens = second * square;
         const double error = 1 + square * (first + lens) - depth * share;
         const double slope = std::min(share * (2 * first + 4 * lens) - depth, steepest);
-        share = std::min(std::max(share - error / slope, 0.5 * share), 2 * share);
+        const double change = std::clamp(-error / slope, -0.5 * share, share);
+        share += change;
+        if (std::abs(change) < SETTLED * share) break;
     }
     return share;
 }

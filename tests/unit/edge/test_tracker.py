@@ -18,7 +18,9 @@ from support.pictures.boards import (
 from trigpoint.base.clock import ManualClock
 from trigpoint.edge import tracker as tracker_module
 from trigpoint.edge.boards import detector_checkerboard
+from trigpoint.edge.detector import finders_for
 from trigpoint.edge.image.time_limit import never
+from trigpoint.edge.registration.planar_fit import PlanarFit
 from trigpoint.edge.tracker import TargetTracker
 from trigpoint.site.target import Face
 
@@ -159,6 +161,20 @@ def test_checkerboard_that_moves_by_whole_squares_keeps_its_numbers(x: float, y:
         (found,) = tracker.detect(picture_of([view]), index * STEP_NS)
         error = found.pixels - true_pixels(view)[found.corners.astype(int)]
         assert np.abs(error).max() < 0.3
+
+
+def test_checkerboard_that_the_picture_cuts_off_is_not_taken_two_squares_beside() -> None:
+    """Moved by two squares it shows as many corners: the picture hides where it ends."""
+    face = checkerboard(12, 9)
+    (finder,) = finders_for([target_of(face)]).values()
+    picture = picture_of([placed(face, distance=0.9, x=0.49)])
+    (there,) = finder.locate(picture, never)
+    beside = there.found.fit.packed.copy()
+    homography = beside[:9].reshape(3, 3)
+    for squares in (0, 2):
+        homography[:, 2] -= squares * face.square * homography[:, 0]
+        found = finder.follow(picture, there, PlanarFit(beside), reach_px=1.0)
+        assert (found is not None) == (squares == 0)
 
 
 @pytest.mark.parametrize("face", FACES, ids=lambda face: face.pattern.value)
