@@ -10,8 +10,8 @@ import numpy as np
 from msgspec import Struct
 
 from trigpoint.base.clock import to_ns, to_seconds
-from trigpoint.contract.messages import Odometry
 from trigpoint.fusion.model.odometry import OdometryTrack
+from trigpoint.fusion.model.readings import Readings
 from trigpoint.geometry.samples import median
 from trigpoint.site.config import Site
 
@@ -48,16 +48,15 @@ class OdometryDoubts:
         self._site, self._tracks = site, tracks
         self._came: dict[str, _Came] = {}
 
-    def add(self, robot: str, message: Odometry) -> None:
-        """Note a message of a robot."""
-        stamp_ns = message.stamp_ns
-        came = self._came.get(robot)
-        if came is None:
-            came = self._came[robot] = _Came(stamp_ns - 1)
-        came.count += 1
-        came.stale += stamp_ns <= came.last_ns
-        came.last_ns = max(came.last_ns, stamp_ns)
-        came.tilted += message.pose.rotation.item(2, 2) < _UPRIGHT
+    def add(self, robot: str, readings: Readings) -> None:
+        """Note messages of a robot."""
+        stamps_ns, rotations = readings.stamps_ns, readings.odom_from_base.rotation
+        came = self._came.setdefault(robot, _Came(stamps_ns.item(0) - 1))
+        newest_ns = np.maximum.accumulate(np.concatenate([[came.last_ns], stamps_ns]))
+        came.count += len(readings)
+        came.stale += int(np.count_nonzero(stamps_ns <= newest_ns[:-1]))
+        came.last_ns = newest_ns.item(-1)
+        came.tilted += int(np.count_nonzero(rotations[:, 2, 2] < _UPRIGHT))
 
     @property
     def texts(self) -> list[str]:
