@@ -172,9 +172,10 @@ class Pipeline:
         """Take odometry of a robot, as `push` does; whether its last may add to the map."""
         if robot not in self.site.robots:
             return self._unknown(robot, len(readings))
-        self.arrivals.add_odometry(robot, readings)
         added = self._estimator.add_odometry(robot, readings)
-        self._left_out.add("stale_odometry", count=added.count(Added.STALE))
+        stale = added.count(Added.STALE)
+        self.arrivals.add_odometry(robot, readings, stale=stale)
+        self._left_out.add("stale_odometry", count=stale)
         self._left_out.add("odometry_jumps", count=added.count(Added.JUMP))
         if added[-1] == Added.STALE:
             self._stale_ns[robot] = self._data.tracks[robot].last_ns - readings.last_ns

@@ -85,9 +85,9 @@ class Arrivals:
             span, stamp_ns = self.seen.get(node), message.stamp_ns
             self.seen[node] = span.with_stamp(stamp_ns) if span else Span(stamp_ns, stamp_ns)
 
-    def add_odometry(self, robot: str, readings: Readings) -> None:
-        """Note odometry of a robot of the site file."""
-        self._odometry.add(robot, readings)
+    def add_odometry(self, robot: str, readings: Readings, *, stale: int) -> None:
+        """Note odometry of a robot of the site file, of which so many are no newer than before."""
+        self._odometry.add(robot, readings, stale=stale)
 
     @property
     def notes(self) -> list[str]:

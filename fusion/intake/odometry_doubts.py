@@ -32,10 +32,9 @@ _CONVENTION = "x is forward and y left in metres, and headings turn to the left 
 
 
 class _Came(Struct):
-    """How many messages of a robot came, until when, and how many of them were not newer than one
-    before, or turned out of the plane."""
+    """How many messages of a robot came, and how many of them were not newer than one before, or
+    turned out of the plane."""
 
-    last_ns: int
     count: int = 0
     stale: int = 0
     tilted: int = 0
@@ -48,15 +47,13 @@ class OdometryDoubts:
         self._site, self._tracks = site, tracks
         self._came: dict[str, _Came] = {}
 
-    def add(self, robot: str, readings: Readings) -> None:
-        """Note messages of a robot."""
-        stamps_ns, rotations = readings.stamps_ns, readings.odom_from_base.rotation
-        came = self._came.setdefault(robot, _Came(stamps_ns.item(0) - 1))
-        newest_ns = np.maximum.accumulate(np.concatenate([[came.last_ns], stamps_ns]))
+    def add(self, robot: str, readings: Readings, *, stale: int) -> None:
+        """Note messages of a robot, of which so many are `stale`: no newer than one before."""
+        came = self._came.setdefault(robot, _Came())
         came.count += len(readings)
-        came.stale += int(np.count_nonzero(stamps_ns <= newest_ns[:-1]))
-        came.last_ns = newest_ns.item(-1)
-        came.tilted += int(np.count_nonzero(rotations[:, 2, 2] < _UPRIGHT))
+        came.stale += stale
+        uprights = readings.odom_from_base.rotation[:, 2, 2]
+        came.tilted += int(np.count_nonzero(uprights < _UPRIGHT))
 
     @property
     def texts(self) -> list[str]:

@@ -68,7 +68,7 @@ class SessionMessages:
                 rows = np.array([row for *_, row in some])
                 yield robot, self._odometry[robot][rows]
             else:
-                yield from ((node, message) for *_, node, message in some)
+                yield from ((node, m) for *_, node, m in some if not isinstance(m, int))
 
     @property
     def unreadable(self) -> dict[str, str]:
