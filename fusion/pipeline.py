@@ -152,7 +152,7 @@ class Pipeline:
         Returns whether it may add to the map, which is the same without the messages that do not.
         """
         self.arrivals.add(node, message)
-        if isinstance(message, Odometry) and node in self.site.robots:
+        if isinstance(message, Odometry):
             return self.push_readings(node, Readings.of([message]))
         if isinstance(message, Sightings) and node in self.site.cameras:
             return self._push_sightings(node, message)
@@ -160,15 +160,21 @@ class Pipeline:
             return self._push_camera_info(node, message)
         if isinstance(message, Diagnostics):
             return self._push_diagnostics(message)
-        self._left_out.add(
-            "unknown_sender", f"«{node}» is not in the site file; add it there or correct its name"
-        )
+        return self._unknown(node)
+
+    def _unknown(self, node: str, count: int = 1) -> bool:
+        text = f"«{node}» is not in the site file; add it there or correct its name"
+        self._left_out.add("unknown_sender", text, count=count)
         return False
 
     def push_readings(self, robot: str, readings: Readings) -> bool:
-        """Take odometry of a robot of the site file; whether its last may add to the map."""
+        """Take odometry of a robot, as `push` does; whether its last may add to the map."""
+        if robot not in self.site.robots:
+            return self._unknown(robot, len(readings))
         added = self._estimator.add_odometry(robot, readings)
-        self._left_out.add("stale_odometry", count=added.count(Added.STALE))
+        stale = added.count(Added.STALE)
+        self.arrivals.add_odometry(robot, readings, stale=stale)
+        self._left_out.add("stale_odometry", count=stale)
         self._left_out.add("odometry_jumps", count=added.count(Added.JUMP))
         if added[-1] == Added.STALE:
             self._stale_ns[robot] = self._data.tracks[robot].last_ns - readings.last_ns

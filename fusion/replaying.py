@@ -17,41 +17,36 @@ class Replay:
     def __init__(self, pipeline: Pipeline) -> None:
         self._pipeline = pipeline
         self._has_more = False  # than odometry, since the pipeline was last at work
-        self._put_off: dict[str, list[Odometry]] = {}
+        self._put_off: dict[str, list[Readings]] = {}
 
     def take(self, node: str, message: Message | Readings) -> None:
         """Take the next message of a camera or robot, or some of a robot's odometry."""
-        is_put_off = node in self._pipeline.site.robots and not self._has_work(node)
-        if isinstance(message, Odometry) and is_put_off:
-            self._put_off.setdefault(node, []).append(message)
-            return
-        self.flush()
+        if isinstance(message, Odometry):
+            self._pipeline.arrivals.add(node, message)
+            message = Readings.of([message])
         if isinstance(message, Readings):
             self._take_readings(node, message)
             return
+        self.flush()
         self._pipeline.push(node, message)
-        if isinstance(message, Odometry):
-            self._work(node)
-        else:
-            self._has_more = True
+        self._has_more = True
 
     def flush(self) -> None:
         """Take the readings that were put off."""
-        for robot, messages in self._put_off.items():
-            for message in messages:
-                self._pipeline.arrivals.add(robot, message)
-            self._pipeline.push_readings(robot, Readings.of(messages))
+        for robot, runs in self._put_off.items():
+            self._pipeline.push_readings(robot, Readings.joined(runs))
         self._put_off.clear()
 
     def _take_readings(self, robot: str, readings: Readings) -> None:
-        """One after the other while there is anything to do, and then all at once."""
+        """One after the other while there is anything to do, and the rest is put off."""
         row = 0
         while row < len(readings) and self._has_work(robot):
+            self.flush()
             self._pipeline.push_readings(robot, readings[row : row + 1])
             self._work(robot)
             row += 1
         if row < len(readings):
-            self._pipeline.push_readings(robot, readings[row:])
+            self._put_off.setdefault(robot, []).append(readings[row:])
 
     def _has_work(self, robot: str) -> bool:
         """Whether a reading of a robot's odometry has anything to do."""
@@ -63,7 +58,7 @@ class Replay:
             self._has_more = False
 
 
-def replayed(pipeline: Pipeline, messages: Iterable[tuple[str, Message]]) -> Pipeline:
+def replayed(pipeline: Pipeline, messages: Iterable[tuple[str, Message | Readings]]) -> Pipeline:
     """The pipeline after the messages of nodes in this order."""
     replay = Replay(pipeline)
     for node, message in messages:

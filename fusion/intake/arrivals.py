@@ -13,6 +13,7 @@ from trigpoint.base.clock import to_ns, to_seconds
 from trigpoint.base.words import counted
 from trigpoint.contract.messages import Mended, Message, Odometry, Sightings
 from trigpoint.fusion.model.odometry import OdometryTrack
+from trigpoint.fusion.model.readings import Readings
 from trigpoint.map.network import Network
 from trigpoint.site.config import Site
 
@@ -83,14 +84,16 @@ class Arrivals:
         self.unused: dict[str, str] = {}
 
     def add(self, node: str, message: Message) -> None:
-        """Note a message of a camera or robot."""
+        """Note a message of a camera or robot; what a robot's odometry says, by `add_odometry`."""
         if isinstance(message, Odometry | Sightings) and message.mended:
             self._mended.update((node, lack) for lack in message.mended)
-        if isinstance(message, Odometry):
-            self._odometry.add(node, message)
         if isinstance(message, Sightings) and message.faces and node in self._tolerance_ns:
             span, stamp_ns = self.seen.get(node), message.stamp_ns
             self.seen[node] = span.with_stamp(stamp_ns) if span else Span(stamp_ns, stamp_ns)
+
+    def add_odometry(self, robot: str, readings: Readings, *, stale: int) -> None:
+        """Note odometry of a robot of the site file, of which so many are no newer than before."""
+        self._odometry.add(robot, readings, stale=stale)
 
     @property
     def notes(self) -> list[str]:

@@ -10,8 +10,8 @@ import numpy as np
 from msgspec import Struct
 
 from trigpoint.base.clock import to_ns, to_seconds
-from trigpoint.contract.messages import Odometry
 from trigpoint.fusion.model.odometry import OdometryTrack
+from trigpoint.fusion.model.readings import Readings
 from trigpoint.geometry.samples import median
 from trigpoint.site.config import Site
 
@@ -32,10 +32,9 @@ _CONVENTION = "x is forward and y left in metres, and headings turn to the left 
 
 
 class _Came(Struct):
-    """How many messages of a robot came, until when, and how many of them were not newer than one
-    before, or turned out of the plane."""
+    """How many messages of a robot came, and how many of them were not newer than one before, or
+    turned out of the plane."""
 
-    last_ns: int
     count: int = 0
     stale: int = 0
     tilted: int = 0
@@ -48,16 +47,13 @@ class OdometryDoubts:
         self._site, self._tracks = site, tracks
         self._came: dict[str, _Came] = {}
 
-    def add(self, robot: str, message: Odometry) -> None:
-        """Note a message of a robot."""
-        stamp_ns = message.stamp_ns
-        came = self._came.get(robot)
-        if came is None:
-            came = self._came[robot] = _Came(stamp_ns - 1)
-        came.count += 1
-        came.stale += stamp_ns <= came.last_ns
-        came.last_ns = max(came.last_ns, stamp_ns)
-        came.tilted += message.pose.rotation.item(2, 2) < _UPRIGHT
+    def add(self, robot: str, readings: Readings, *, stale: int) -> None:
+        """Note messages of a robot, of which so many are `stale`: no newer than one before."""
+        came = self._came.setdefault(robot, _Came())
+        came.count += len(readings)
+        came.stale += stale
+        uprights = readings.odom_from_base.rotation[:, 2, 2]
+        came.tilted += int(np.count_nonzero(uprights < _UPRIGHT))
 
     @property
     def texts(self) -> list[str]:

@@ -64,7 +64,8 @@ class Standstills:
         found, have_stood = self._going_on(camera, robots, stamp_ns, views)
         if found is None:
             kept = Budget(_LOOKS_HZ * MOST_ALIKE, _MOST_LOOKS * MOST_ALIKE)
-            found = self._found[camera, robots] = _Standstill(stamp_ns, views, kept)
+            self._found[camera, robots] = _Standstill(stamp_ns, views, kept, count=1)
+            return not kept.takes(stamp_ns, stamp_ns)
         found.last_ns = max(found.last_ns, stamp_ns)
         new = tuple(v for v in views if not any(_common(v, w) for w in found.views))
         has_moved = any(v not in new and not _is_alike(v, found.views) for v in views)

@@ -10,6 +10,7 @@ from trigpoint.contract.messages import Message
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.inputs import load_inputs
 from trigpoint.fusion.model.inputs import Inputs
+from trigpoint.fusion.model.readings import Readings
 from trigpoint.fusion.pipeline import Pipeline
 from trigpoint.fusion.replaying import replayed
 from trigpoint.recorder.session.recording import Recording, open_recording
@@ -91,9 +92,9 @@ def fed(
     inputs: Inputs,
     *,
     source: Path,
-    step: Callable[[], None] = lambda: None,
+    step: Callable[[int], None] = lambda _: None,
 ) -> Pipeline:
-    """A pipeline that took these messages and is to be finished; `step`: told of each. Raises
+    """A pipeline that took these messages and is to be finished; `step`: told how many. Raises
     OperationError where no odometry is sound, InputError where there is none of the site's."""
     pipeline, robots = Pipeline(inputs, is_live=False), found.robots
     unreadable = found.unreadable
@@ -116,8 +117,8 @@ def fed(
 
 
 def _told(
-    messages: Iterable[tuple[str, Message]], step: Callable[[], None]
-) -> Iterator[tuple[str, Message]]:
-    for item in messages:
-        yield item
-        step()
+    messages: Iterable[tuple[str, Message | Readings]], step: Callable[[int], None]
+) -> Iterator[tuple[str, Message | Readings]]:
+    for node, message in messages:
+        yield node, message
+        step(len(message) if isinstance(message, Readings) else 1)

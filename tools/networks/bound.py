@@ -10,6 +10,7 @@ from trigpoint.fusion.intake.message_intake import Intake
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.inputs import Inputs
 from trigpoint.fusion.model.problem import CameraState
+from trigpoint.fusion.model.readings import Readings
 from trigpoint.map.network import load_tum
 from trigpoint.recorder.session.recording import Recording
 from trigpoint.tools.sessions.messages import messages_of
@@ -31,6 +32,8 @@ def session_bound(recording: Recording, inputs: Inputs, folder: Path) -> Bound:
     for node, message in messages_of(recording).in_order:
         if isinstance(message, CameraInfo):
             data.lenses.setdefault(node, message.camera)
+        elif isinstance(message, Readings) and node in data.tracks:
+            data.tracks[node].add_run(message)
         elif isinstance(message, Odometry) and node in data.tracks:
             data.tracks[node].add(message.stamp_ns, message.pose)
         elif isinstance(message, Sightings) and node in data.lenses:

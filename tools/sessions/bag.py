@@ -69,14 +69,14 @@ def bag_messages(path: Path, roles: Sequence[Role], inputs: Inputs) -> SessionMe
     def refuse(topic: str, log_ns: int, reason: MessageError) -> None:
         found.refuse(names[topic], topic, log_ns, reason)
 
-    for one in bag.messages(list(names), refuse):
+    for order, one in enumerate(bag.messages(list(names), refuse)):
         name = names[one.topic]
         try:
             message = _as_message(one, name, detectors)
         except MessageError as reason:
             refuse(one.topic, one.log_ns, reason)
             continue
-        found.add(name, message, one.log_ns)
+        found.add(name, message, one.log_ns, order=order)
     found.misdescribed = {
         name: "; ".join(detector.misdescribed)
         for name, detector in detectors.items()

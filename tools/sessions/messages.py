@@ -1,14 +1,18 @@
 """The messages of a session, or of anybody's bag, on their way to the estimator."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import groupby, repeat
+
+import numpy as np
 
 from trigpoint.base.clock import to_seconds
 from trigpoint.base.errors import MessageError
 from trigpoint.base.words import counted, numberless
-from trigpoint.contract import cdr, topics
+from trigpoint.contract import cdr, cdr_layout, topics
 from trigpoint.contract.clock_doubt import DoubtFilter
 from trigpoint.contract.messages import Diagnostics, Message, Odometry, Sightings, stamped
-from trigpoint.recorder.session.recording import Recording
+from trigpoint.fusion.model.readings import Readings
+from trigpoint.recorder.session.recording import RecordedSample, Recording
 
 _MOST_TIMES = 3
 _TOPICS = (topics.CAMERA_INFO, topics.ODOMETRY, topics.SIGHTINGS, topics.DIAGNOSTICS)
@@ -16,23 +20,33 @@ _TOPICS = (topics.CAMERA_INFO, topics.ODOMETRY, topics.SIGHTINGS, topics.DIAGNOS
 
 class SessionMessages:
     """What of a session can be used, and what cannot. `misdescribed`: camera -> what its pictures
-    show in place of the target file's boards."""
+    show in place of the target file's boards; `robots`: those of which there is odometry."""
 
     def __init__(self) -> None:
         self.misdescribed: dict[str, str] = {}
-        self._found: list[tuple[int, int, int, str, Message]] = []
+        self.robots: set[str] = set()
+        self._found: list[tuple[int, bool, int, str, Message | int]] = []
+        self._odometry: dict[str, Readings] = {}
         self._refused: dict[tuple[str, str, str], tuple[str, list[int]]] = {}
 
-    def add(self, node: str, message: Message, log_ns: int) -> None:
-        """Take a message of a camera or robot that was recorded at `log_ns`."""
+    def add(self, node: str, message: Message, log_ns: int, *, order: int) -> None:
+        """Take a message of a camera or robot that was recorded at `log_ns`, as the `order`-th."""
         stamp_ns = 0
         if isinstance(message, Odometry | Sightings):
             message = stamped(message, log_ns)
             stamp_ns = message.stamp_ns
         if isinstance(message, Diagnostics):
             stamp_ns = message.stamp_ns
-        is_sightings = isinstance(message, Sightings)
-        self._found.append((stamp_ns, is_sightings, len(self._found), node, message))
+        if isinstance(message, Odometry):
+            self.robots.add(node)
+        self._found.append((stamp_ns, isinstance(message, Sightings), order, node, message))
+
+    def add_run(self, robot: str, readings: Readings, *, orders: Sequence[int]) -> None:
+        """Take all odometry of a robot, each message as which one it was recorded."""
+        self.robots.add(robot)
+        self._odometry[robot] = readings
+        stamps_ns, rows = readings.stamps_ns.tolist(), range(len(readings))
+        self._found += zip(stamps_ns, repeat(False), orders, repeat(robot), rows, strict=False)
 
     def refuse(self, node: str, topic: str, log_ns: int, reason: MessageError) -> None:
         """Count a message that is not sound, and was recorded at `log_ns`."""
@@ -45,14 +59,16 @@ class SessionMessages:
         return len(self._found)
 
     @property
-    def in_order(self) -> list[tuple[str, Message]]:
-        """(camera or robot, message) in stamp order, lenses first."""
-        return [(node, message) for *_, node, message in sorted(self._found, key=lambda f: f[:3])]
-
-    @property
-    def robots(self) -> set[str]:
-        """Those of which there is odometry."""
-        return {node for *_, node, message in self._found if isinstance(message, Odometry)}
+    def in_order(self) -> Iterator[tuple[str, Message | Readings]]:
+        """(camera or robot, message, or odometry without others between) in stamp order, lenses
+        first."""
+        found = sorted(self._found, key=lambda each: each[:3])
+        for robot, some in groupby(found, lambda each: each[3] if isinstance(each[4], int) else ""):
+            if robot:
+                rows = np.array([row for *_, row in some])
+                yield robot, self._odometry[robot][rows]
+            else:
+                yield from ((node, m) for *_, node, m in some if not isinstance(m, int))
 
     @property
     def unreadable(self) -> dict[str, str]:
@@ -78,14 +94,27 @@ def _words(times: Sequence[int]) -> str:
 
 def messages_of(recording: Recording) -> SessionMessages:
     found, doubts = SessionMessages(), DoubtFilter()
-    for sample in recording.samples(_TOPICS):
-        node = topics.node_of(sample.key)
-        if sample.topic is topics.DIAGNOSTICS and not doubts.wants(sample.payload):
+    odometry = dict[str, list[tuple[int, RecordedSample]]]()
+    for order, sample in enumerate(recording.samples(_TOPICS)):
+        if sample.topic is topics.ODOMETRY:
+            odometry.setdefault(topics.node_of(sample.key), []).append((order, sample))
+        elif sample.topic is not topics.DIAGNOSTICS or doubts.wants(sample.payload):
+            _take(found, order, sample)
+    for robot, some in odometry.items():
+        read = cdr_layout.odometry_run([sample.payload for _, sample in some])
+        if read is not None and read[0].all():  # all of it is sound and stamped
+            found.add_run(robot, Readings(*read), orders=[order for order, _ in some])
             continue
-        try:
-            message = cdr.decode(sample.topic.type_name, sample.payload)
-        except MessageError as reason:
-            found.refuse(node, sample.key, sample.log_ns, reason)
-            continue
-        found.add(node, message, sample.log_ns)
+        for order, sample in some:
+            _take(found, order, sample)
     return found
+
+
+def _take(found: SessionMessages, order: int, sample: RecordedSample) -> None:
+    node = topics.node_of(sample.key)
+    try:
+        message = cdr.decode(sample.topic.type_name, sample.payload)
+    except MessageError as reason:
+        found.refuse(node, sample.key, sample.log_ns, reason)
+    else:
+        found.add(node, message, sample.log_ns, order=order)

@@ -16,7 +16,10 @@ def quantile(values: ArrayLike, share: float) -> float:
     """What this `share` of the values, of which none is NaN, lies below: interpolated between the
     nearest two."""
     ordered: Array = np.sort(np.asarray(values, dtype=float), axis=None)
-    return float(np.interp(share * (ordered.size - 1), np.arange(ordered.size), ordered))
+    place = share * (ordered.size - 1)
+    row = int(place)
+    low, high = ordered.item(row), ordered.item(min(row + 1, ordered.size - 1))
+    return (high - low) * (place - row) + low
 
 
 def median(values: ArrayLike) -> float:

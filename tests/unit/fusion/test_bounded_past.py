@@ -250,6 +250,7 @@ def test_a_map_goes_on_from_its_files(
     for some in storage.read(1024):
         for key, message in some:
             replay.take(topics.node_of(key), message)
+    replay.flush()
     storage.close()
     again.pipeline.resumed()
     network = again.feed(since_s=STOP_S).network()

@@ -12,7 +12,8 @@ from support.builders import make_site
 from trigpoint.base.clock import to_ns
 from trigpoint.contract.messages import Odometry
 from trigpoint.fusion.intake.odometry_doubts import OdometryDoubts
-from trigpoint.fusion.model.odometry import OdometryTrack
+from trigpoint.fusion.model.odometry import Added, OdometryTrack
+from trigpoint.fusion.model.readings import Readings
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import exp, to_quaternion
 
@@ -88,8 +89,8 @@ def said(
         shaken = pose.translation + shake_m * random.normal(size=3) * [1, 1, 0]
         here = Pose(pose.rotation, shaken)
         message = change(Odometry(BEGIN_NS + to_ns(number / rate), "r1/odom", "r1/base", here))
-        doubts.add("r1", message)
-        tracks["r1"].add(message.stamp_ns, message.pose)
+        is_stale = tracks["r1"].add(message.stamp_ns, message.pose) is Added.STALE
+        doubts.add("r1", Readings.of([message]), stale=is_stale)
         angle = (turn if number < count / 2 else -turn) / rate + noise * random.normal()
         step = np.array([speed / rate + noise * random.normal(), noise * random.normal(), 0.0])
         pose = pose @ Pose(exp([0.0, 0.0, angle]), step)

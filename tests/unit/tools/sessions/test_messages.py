@@ -1,0 +1,85 @@
+"""A session's messages: odometry is read as runs, with what comes of reading each by itself."""
+
+from pathlib import Path
+
+import pytest
+from msgspec.structs import replace
+from support.fusion.drives import (
+    RobotPlan,
+    Session,
+    circle,
+    lab_cameras,
+    lab_plan,
+    make_session,
+    write_session,
+)
+
+from trigpoint.contract import cdr, topics
+from trigpoint.contract.messages import CameraInfo, Mended, Message, Odometry, Sightings
+from trigpoint.fusion.model.readings import Readings
+from trigpoint.recorder.session.recording import open_recording
+from trigpoint.tools.sessions.messages import SessionMessages, messages_of
+from trigpoint.tools.simulation.sight.targets import target_of
+
+
+@pytest.fixture(scope="module")
+def two() -> Session:
+    """Two robots, whose odometry has the same stamps."""
+    robots = {
+        "r1": RobotPlan(circle(), target_of("charuco")),
+        "r2": RobotPlan(circle(radius=0.9), target_of("checkerboard")),
+    }
+    return make_session(lab_plan(cameras=lab_cameras(2), robots=robots, seconds=3.0))
+
+
+def flat(found: SessionMessages) -> list[tuple[str, str, int, bytes]]:
+    """Of each message in order: whose it is, its kind, its stamp, and an odometry's pose."""
+    rows = list[tuple[str, str, int, bytes]]()
+    for node, message in found.in_order:
+        if isinstance(message, Readings):
+            poses, stamps_ns = message.odom_from_base.rows(), message.stamps_ns.tolist()
+            each = zip(stamps_ns, poses, strict=True)
+            rows += [(node, Odometry.__name__, stamp, pose.tobytes()) for stamp, pose in each]
+        else:
+            pose = message.pose.rows().tobytes() if isinstance(message, Odometry) else b""
+            stamp_ns = message.stamp_ns if isinstance(message, Odometry | Sightings) else 0
+            rows.append((node, type(message).__name__, stamp_ns, pose))
+    return rows
+
+
+def one_by_one(folder: Path) -> SessionMessages:
+    found = SessionMessages()
+    for order, sample in enumerate(open_recording(folder).samples()):
+        message = cdr.decode(sample.topic.type_name, sample.payload)
+        found.add(topics.node_of(sample.key), message, sample.log_ns, order=order)
+    return found
+
+
+def kinds(found: SessionMessages) -> list[type[Message | Readings]]:
+    return [type(message) for _, message in found.in_order]
+
+
+def test_odometry_of_several_robots_is_in_order(two: Session, tmp_path: Path) -> None:
+    folder = write_session(two, tmp_path)
+    found, expected = messages_of(open_recording(folder)), one_by_one(folder)
+    assert flat(found) == flat(expected)
+    assert found.count == expected.count
+    assert found.robots == expected.robots == {"r1", "r2"}
+    assert Odometry not in kinds(found)
+    assert kinds(found)[0] is CameraInfo
+
+
+def test_odometry_without_a_stamp_is_mended_beside_another_robots_run(
+    two: Session, tmp_path: Path
+) -> None:
+    at = next(i for i, (node, m) in enumerate(two.messages) if node == "r2" and i > 20)
+    messages = list(two.messages)
+    messages[at] = "r2", replace(messages[at][1], stamp_ns=0)
+    folder = write_session(replace(two, messages=tuple(messages)), tmp_path)
+    found = messages_of(open_recording(folder))
+    assert flat(found) == flat(one_by_one(folder))
+    mended = [
+        (node, m.mended) for node, m in found.in_order if isinstance(m, Odometry) and m.mended
+    ]
+    assert mended == [("r2", (Mended.UNSTAMPED,))]
+    assert {node for node, m in found.in_order if isinstance(m, Readings)} == {"r1"}
