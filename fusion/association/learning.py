@@ -13,8 +13,7 @@ from .local import LocalProblem
 from .memory import Memory
 from .mode import Mode
 from .modes import ModeFinder, wrong_by
-from .noise import PESSIMISTIC, STATED, Noise, on_a_floor
-from .session_noise import with_noise
+from .noise import PESSIMISTIC, STATED, Noise, on_a_floor, with_noise
 from .variances import corner_scale, learn
 from .visits import Visit, telling, telling_of_lenses, visits_of
 

@@ -4,22 +4,24 @@ visit's pictures and the odometry between them allow."""
 from typing import TypeVar
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.linalg import LinAlgError
 
 from trigpoint.fusion.model.assembly import Assembled
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.gates import HUBER_SIGMAS
+from trigpoint.fusion.model.jitter import Jitter
 from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.model.problem import CameraState, Problem, State
 from trigpoint.fusion.solver.equations import System
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.uncertainty import symmetric
+from trigpoint.native.library import In, Kernel, Out
 
 from .budget import Budget
-from .events import Events
-from .linear import Linear, linearised, log_priors, unknowns_of
-from .masks import likeliest_wrong
+from .events import Events, window
+from .linear import EQUATIONS, Linear, linearised, log_priors, unknowns_of
 from .mode import Mode
 from .trial import Ending, Pictures, Trial, Work
 
@@ -27,6 +29,19 @@ _MOST_ROUNDS = 10
 _PATIENCE = 2
 _ROUND = Work.READ | Work.SOLVE | Work.JUDGE
 _FIRST = _ROUND | Work.ROBUST
+# Accepting a right sighting early improves the score by seventy or so, but only once others agree
+# with it. So the score of a partial hypothesis tells little, and as many hypotheses are carried on
+# as six sightings have subsets.
+_MOST = 64
+_MOST_TOLD = 3
+_REAL = np.float64
+_LIKELIEST = Kernel(
+    "tp_likeliest_wrong",
+    *EQUATIONS,
+    *(In(_REAL, ("m", "d", "d")), In(_REAL, (6,))),
+    *(float, float),
+    *(Out(_REAL, ("k",)), Out(np.bool_, ("k", "n"))),
+)
 Flag = TypeVar("Flag")
 
 
@@ -199,3 +214,27 @@ class LocalProblem:
     def _left_out_score(self, trial: Trial) -> float:
         wild = np.bincount(self._pictures.view_of, trial.wild, len(trial.wrong))
         return float(np.where(trial.wrong, self._wrong_scores, self.events.wild_score * wild).sum())
+
+
+def likeliest_wrong(
+    linear: Linear, jitter: Jitter | None, events: Events
+) -> list[tuple[bool, ...]]:
+    """The likeliest sets of wrong parts of a visit, as n flags each, best first.
+
+    Sightings that are judged one after the other can mask each other: two that are displaced alike
+    make the right one between them look wrong. To first order a visit is one linear Gaussian model,
+    in which each hypothesis (which of the sightings so far are wrong) is a Kalman filter of the
+    robot's pose and of the camera; the likeliest are carried on from sighting to sighting.
+
+    `jitter`: how far the robot's pose in each picture deviates from what odometry says.
+    """
+    if jitter is not None:
+        linear = replace(linear, own=linear.own + np.diag(jitter.variances))
+    scores, flags = np.empty(_MOST), np.empty((_MOST, len(linear.parts)), dtype=bool)
+    kept = _LIKELIEST(
+        *linear.equations,
+        *(linear.spread, events.room_variances, events.wrong_limit, events.pose_score),
+        *(scores, flags),
+    )
+    near = scores[:kept] < scores[0] + window()
+    return [tuple(row) for row in flags[:kept][near][:_MOST_TOLD].tolist()]

@@ -155,7 +155,7 @@ class ModeFinder:
         return distinct(found + self._unmasked(problem, distinct(found)))
 
     def _unmasked(self, problem: LocalProblem, found: list[Mode]) -> list[Mode]:
-        """More modes near the best ones, each with another set of wrong sightings (`masks`)."""
+        """More modes near the best ones, each with another set of wrong sightings (`likeliest_wrong`)."""
         others = []
         known = {tuple(wrong_by(mode).items()) for mode in found}
         for mode in found:

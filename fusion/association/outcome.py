@@ -12,8 +12,7 @@ from trigpoint.fusion.solver.filter import is_placed
 from trigpoint.geometry import Pose
 
 from .events import EVIDENCE, window
-from .evidence import alternatives_of
-from .explanation import Alternative, CameraFinding, Explanation, Read
+from .explanation import Alternative, CameraFinding, Explanation, Read, alternatives_of
 from .mode import Mode, VisitModes
 from .world import World
 

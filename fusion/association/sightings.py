@@ -8,7 +8,6 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from trigpoint.fusion.model.observations import Observation, View, face_points, swept
-from trigpoint.fusion.reading.planar_pose import PoseFit, planar_poses
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.samples import median
@@ -42,6 +41,18 @@ _WITHOUT_WILD = Kernel(
     float,
     Out(_REAL, ("v", 6)),
     Out(np.bool_, ("v", "n")),
+)
+
+
+_PLANE = Kernel(
+    "tp_plane_poses",
+    In(_REAL, ("p",)),
+    In(_REAL, ("n", 3)),
+    In(_REAL, ("n", 2)),
+    float,
+    Out(_REAL, (2, 3, 3)),
+    Out(_REAL, (2, 3)),
+    Out(_REAL, (2,)),
 )
 
 
@@ -99,6 +110,32 @@ def by_itself(view: View, lens: CameraModel, target: Target, events: Events) -> 
         kept = left[left < events.wild_score * middle]
         scatter = float(np.mean(kept)) / (2 * share)
     return Alone(score + events.wrong_limit, score, scatter, wild)
+
+
+class PoseFit(Struct, frozen=True):
+    """camera_from_object, and the reprojection's RMS of a coordinate in sigmas."""
+
+    pose: Pose
+    rms: float
+
+
+def planar_poses(lens: CameraModel, points: Array, pixels: Array, sigma: float) -> list[PoseFit]:
+    """Both poses of one plane, best first, which often fit equally well (Collins and Bartoli,
+    «Infinitesimal plane-based pose estimation», 2014); points (n, 3) with z = 0, pixels (n, 2) raw.
+
+    z points away from whoever sees the plane's front: what fits from behind alone, as a mirrored
+    order of the corners does, is left out. An empty list where fewer than four corners are seen or
+    they lie on a line.
+    """
+    rotation, translation, rms = np.empty((2, 3, 3)), np.empty((2, 3)), np.empty(2)
+    count = _PLANE(
+        lens.parameters,
+        np.ascontiguousarray(points),
+        np.ascontiguousarray(pixels),
+        sigma,
+        *(rotation, translation, rms),
+    )
+    return [PoseFit(Pose(rotation[i], translation[i]), float(rms[i])) for i in range(count)]
 
 
 def _best_fit(
