@@ -16,7 +16,6 @@ from trigpoint.native.library import In, Kernel, Out
 from trigpoint.site.target import Target
 
 from .views import BODY, VIEWS, body_tables, patterns, view_tables
-from .visibility import Body, by_reading
 
 # The number of observations whose candidates are cached.
 _MOST_KEPT = 1024
@@ -68,14 +67,6 @@ def _candidates(
             numbers[:count].tolist(), rows[:count], rms[:count].tolist(), strict=True
         )
     )
-
-
-def corners_of(observation: Observation, body: Body, readings: np.ndarray) -> Array:
-    """All corners (b, n, 3) of an observation in the base frame for several readings (b, views)."""
-    parts = [
-        by_reading(view, body)[readings[:, order]] for order, view in enumerate(observation.views)
-    ]
-    return np.concatenate(parts, axis=1)
 
 
 def pixels_of(observation: Observation) -> tuple[Array, Array]:
