@@ -22,7 +22,6 @@ from trigpoint.fusion.model.problem import Batch, Problem, State
 from trigpoint.fusion.reading.best_readings import groups_of
 from trigpoint.fusion.solver.filter import Filter
 from trigpoint.fusion.solver.levenberg_marquardt import Solution
-from trigpoint.fusion.solver.picture_jitter import PictureJitter
 from trigpoint.fusion.solver.relinearisation import Solved, solve_consistently
 from trigpoint.geometry.rotation import Array
 
@@ -157,14 +156,29 @@ def leave_out_contradicting(
     return bool(left_out)
 
 
+def _compensated(by_base: Array, residual: Array, variances: Array) -> Array:
+    """Residuals (n, K, 2) of pictures less what the robot's best-fitting deviation from its node in
+    each, of `variances` (n, 6), explains of them; `by_base` (n, K, 2, 6): their derivative by it.
+
+    A floor that tilts by a third of a degree or a mast that sways by a millimetre moves all corners
+    of a picture as one, so more corners do not average it away.
+    """
+    flat = by_base.reshape(len(by_base), -1, 6)
+    turned = np.swapaxes(flat, 1, 2)
+    information = turned @ flat
+    information[:, range(6), range(6)] += 1 / variances
+    pull = turned @ residual.reshape(len(flat), -1, 1)
+    return residual - (flat @ np.linalg.solve(information, pull)).reshape(residual.shape)
+
+
 def _excesses(data: DataSet, batch: Batch, state: State, events: Events) -> list[_Excess]:
     """By how much the score of each contradicting sighting of a batch exceeds a wrong one's, with
     its source and order."""
     by_base = base_jacobian(batch, state)
     residual = batch_residual(batch, state)
-    jitter, found = PictureJitter.of(batch, state), []
-    if jitter is not None:
-        residual = jitter.compensated(residual.reshape(len(residual), -1)).reshape(residual.shape)
+    found: list[_Excess] = []
+    if batch.jitter is not None:
+        residual = _compensated(by_base, residual, batch.jitter)
     shown = [
         (row, source, order, part)
         for row, source in enumerate(batch.sources.tolist())
