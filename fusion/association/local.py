@@ -74,15 +74,15 @@ class LocalProblem:
     def mode_near(
         self,
         start: CameraState,
-        wrong: dict[int, tuple[bool, ...]],
+        wrong: np.ndarray,
         most_wrong: int | None = None,
     ) -> Mode | None:
         """The mode that the iteration reaches from a camera near `start`; None where nothing fits.
 
-        `wrong`: by index, which views are taken as wrong at the start; `most_wrong`: the search is
+        `wrong` (v,): which views are taken as wrong at the start; `most_wrong`: the search is
         given up where more views than this are still wrong after `_PATIENCE` rounds.
         """
-        trial = Trial(self._pictures, start, self.poses, self._flags(wrong))
+        trial = Trial(self._pictures, start, self.poses, wrong.copy())
         seen, is_settled = set[tuple[bytes, ...]](), False
         for round_ in range(_MOST_ROUNDS):
             if round_ == 0:
@@ -107,11 +107,10 @@ class LocalProblem:
             self.budget.spend_solving(steps=trial.iterations, corners=self._corners)
         return ending
 
-    def _flags(self, wrong: dict[int, tuple[bool, ...]]) -> np.ndarray:
-        """Which views (v,) are wrong, by what is so by index; none of a picture that is left
-        out."""
-        rows = [wrong.get(i, (False,) * len(o.views)) for i, o in self.observations.items()]
-        return np.array([flag for row in rows for flag in row], dtype=bool)
+    def wrong_by(self, mode: Mode) -> np.ndarray:
+        """Which views (v,) a mode takes as wrong; none of a picture that it does not have."""
+        rows = [mode.readings.get(i, o.views) for i, o in self.observations.items()]
+        return np.array([reading is None for row in rows for reading in row], dtype=bool)
 
     def _by_index(self, flags: list[Flag]) -> dict[int, tuple[Flag, ...]]:
         """What is said of each view, by index of its picture."""
@@ -126,17 +125,18 @@ class LocalProblem:
         mode has as wrong; None where that tells nothing about the noise."""
         views = self._pictures.views
         readings = [reading for row in mode.readings.values() for reading in row]
-        wrong = np.array([reading is None for reading in readings])
-        trial = Trial(self._pictures, mode.camera, self._stood(mode), wrong)
+        trial = Trial(self._pictures, mode.camera, self._stood(mode), self.wrong_by(mode))
         chosen = zip(views, readings, strict=True)
         trial.chosen[:] = [view.readings.index(r) if r is not None else 0 for view, r in chosen]
         trial.wild[:] = np.concatenate([wild for row in mode.wild.values() for wild in row])
         return linearised(trial, by_pictures=True)
 
-    def likeliest_wrong(self, mode: Mode) -> list[dict[int, tuple[bool, ...]]]:
-        """The likeliest sets of wrong sightings, best first, by the visit linearised about a mode.
-        Judged one after the other they would never be found, since several agree by chance."""
-        trial = Trial(self._pictures, mode.camera, self._stood(mode), self._flags({}))
+    def likeliest_wrong(self, mode: Mode) -> list[np.ndarray]:
+        """The likeliest sets of wrong views, (v,) bool each, best first, by the visit linearised
+        about a mode. Judged one after the other they would never be found, since several agree by
+        chance."""
+        none = np.zeros(len(self._pictures.views), dtype=bool)
+        trial = Trial(self._pictures, mode.camera, self._stood(mode), none)
         if trial.round(Work.READ) is Ending.NOTHING_FITS:
             return []
         linear = linearised(trial, by_pictures=False)
@@ -147,7 +147,7 @@ class LocalProblem:
         for flags in likeliest_wrong(linear, self.data.jitter.get(self.robot), self.events):
             wrong = np.ones(len(trial.wrong), dtype=bool)
             wrong[linear.parts] = flags
-            found.append(self._by_index(wrong.tolist()))
+            found.append(wrong)
         return found
 
     def _stood(self, mode: Mode) -> Pose:

@@ -59,22 +59,14 @@ _PLANE = Kernel(
 class Alone(Struct, frozen=True):
     """What one view says by itself.
 
-    `wrong_score`: the score if the view is wrong, of a board that is somewhere else; `evidence`:
-    the score of the best fit, the pose integrated out; `scatter`: the corners' variance about that
-    fit over the stated one, without corners that are wild by the median distance; NaN where there
-    are too few corners; `wild`: flags of the wild corners, (n,).
+    `wrong_score`: the score if the view is wrong, of a board that is somewhere else; `scatter`: the
+    corners' variance about the best fit over the stated one, without corners that are wild by the
+    median distance; NaN where there are too few corners; `wild`: flags of the wild corners, (n,).
     """
 
     wrong_score: float
-    evidence: float
     scatter: float
     wild: np.ndarray
-
-
-def alone(observation: Observation, order: int) -> Observation:
-    """The observation with only one of its views."""
-    chosen = (observation.chosen[order],) if observation.chosen is not None else None
-    return replace(observation, views=(observation.views[order],), chosen=chosen, outliers=())
 
 
 def tamed(observation: Observation, views: tuple[Alone, ...]) -> Observation:
@@ -100,7 +92,7 @@ def by_itself(view: View, lens: CameraModel, target: Target, events: Events) -> 
     """
     fit = _best_fit(view, lens, target, events)
     if fit is None:
-        return Alone(events.wrong_limit, np.inf, np.nan, np.zeros(len(view.corners), dtype=bool))
+        return Alone(events.wrong_limit, np.nan, np.zeros(len(view.corners), dtype=bool))
     score, left, wild = fit
     scatter = np.nan
     if len(left) >= _LEAST_CORNERS:
@@ -109,7 +101,7 @@ def by_itself(view: View, lens: CameraModel, target: Target, events: Events) -> 
         middle = median(left) / (2 * math.log(2) * share)
         kept = left[left < events.wild_score * middle]
         scatter = float(np.mean(kept)) / (2 * share)
-    return Alone(score + events.wrong_limit, score, scatter, wild)
+    return Alone(score + events.wrong_limit, scatter, wild)
 
 
 class PoseFit(Struct, frozen=True):

@@ -180,12 +180,10 @@ class World:
                 break
             if not self.search.happened(hypothesis):
                 continue
-            ties, opened = hypothesis.ties, hypothesis.open
-            tied = tied_twice(self.graph, ties, opened, hypothesis.breaks)
+            tied = tied_twice(self.graph, hypothesis.ties, hypothesis.open, hypothesis.breaks)
             last: dict[str, int] = {}
-            for number in [*ties, *opened]:
-                camera, place = self.visits[number].visit.camera, hypothesis.place_of(number)
-                assert place is not None
+            for number, place in hypothesis.places.items():
+                camera = self.visits[number].visit.camera
                 last[camera] = max(last.get(camera, 0), place)
             loose = {camera for camera, place in last.items() if (camera, place) not in tied}
             found.append((hypothesis.score + self.noise.score, loose))
@@ -205,9 +203,8 @@ class World:
         score = hypothesis.score + self.noise.score
         mine = {
             n: place
-            for n in [*hypothesis.ties, *hypothesis.open]
+            for n, place in hypothesis.places.items()
             if self.visits[n].visit.camera == camera
-            and (place := hypothesis.place_of(n)) is not None
         }
         wanted = max(mine.values(), default=0) if number is None else number
         there = [n for n, place in mine.items() if place == wanted]
