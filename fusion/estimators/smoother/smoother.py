@@ -33,7 +33,7 @@ from trigpoint.fusion.model.observations import Observation, Verdict
 from trigpoint.fusion.model.past import Past
 from trigpoint.fusion.model.readings import Readings
 from trigpoint.fusion.model.trajectory import interpolated
-from trigpoint.fusion.solver.filter import RobotEstimate
+from trigpoint.fusion.solver.filter import Filter, RobotEstimate
 from trigpoint.fusion.solver.snapshot import GuidanceWorld
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
@@ -41,6 +41,7 @@ from trigpoint.geometry.rotation import Array
 from .batch import BatchSolution
 from .current_filter import CurrentFilter
 from .settled_past import OF_A_SESSION, Limits, past_path, settled_past
+from .unseen_moves import unseen_move
 
 
 class Smoother(Live):
@@ -134,7 +135,7 @@ class Smoother(Live):
         try:
             if is_rough:
                 self._batch.solve(self._explainer.explain(is_draft=True))
-            known = self._batch.solve(self._explainer.explain(self._batch.scales))
+            known = self._solved()
         except (LinAlgError, ValueError) as reason:
             self.data.note(
                 "unsolved", f"the newest observations could not be solved for yet ({reason})"
@@ -146,6 +147,16 @@ class Smoother(Live):
         if any(change not in before for change in self.data.changes):
             report_changes(self.data, self._batch.state)
         return True
+
+    def _solved(self) -> Filter:
+        """Explain and solve everything, and anew with each move that only the solution shows."""
+        known = self._batch.solve(self._explainer.explain(self._batch.scales))
+        for _ in self.data.site.cameras:
+            move = unseen_move(self.data, self._batch.state)
+            if move is None or not self.data.tell(move):
+                break
+            known = self._batch.solve(self._explainer.explain(self._batch.scales))
+        return known
 
     @property
     def _is_open(self) -> bool:
