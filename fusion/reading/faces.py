@@ -4,12 +4,10 @@ Every reading of every view and both solutions of every plane are candidates unt
 decides between them.
 """
 
-from functools import lru_cache
-
 import numpy as np
 from msgspec import Struct
 
-from trigpoint.fusion.model.observations import Observation, Reading, View
+from trigpoint.fusion.model.observations import Observation, Reading
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.native.library import In, Kernel, Out
@@ -17,8 +15,6 @@ from trigpoint.site.target import Target
 
 from .views import BODY, VIEWS, body_tables, patterns, view_tables
 
-# The number of observations whose candidates are cached.
-_MOST_KEPT = 1024
 _SAME_PLACE_M = 0.05
 _SAME_TURN_RAD = 0.05
 _REAL = np.float64
@@ -41,14 +37,7 @@ def candidates(
     observation: Observation, target: Target, lens: CameraModel
 ) -> tuple[Candidate, ...]:
     """All interpretations of a single observation, best first."""
-    return _candidates(observation.views, target, lens)
-
-
-@lru_cache(maxsize=_MOST_KEPT)
-def _candidates(
-    views: tuple[View, ...], target: Target, lens: CameraModel
-) -> tuple[Candidate, ...]:
-    """`candidates`, cached: they depend on nothing else, and pictures are read repeatedly."""
+    views = observation.views
     # Each reading of one view at both poses of its plane.
     most = 2 * max((len(view.readings) for view in views), default=0)
     numbers, rows = np.empty((most, len(views)), dtype=np.int64), np.empty((most, 12))

@@ -21,8 +21,7 @@ from trigpoint.fusion.model.prediction import base_jacobian, batch_residual
 from trigpoint.fusion.model.problem import Batch, Problem, State
 from trigpoint.fusion.reading.best_readings import groups_of
 from trigpoint.fusion.solver.filter import Filter
-from trigpoint.fusion.solver.levenberg_marquardt import Solution
-from trigpoint.fusion.solver.relinearisation import Solved, solve_consistently
+from trigpoint.fusion.solver.levenberg_marquardt import Solution, Solved, solve_consistently
 from trigpoint.geometry.rotation import Array
 
 from . import odometry_noise, standstill_noise
