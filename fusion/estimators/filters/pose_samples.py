@@ -1,6 +1,7 @@
 """Samples of one pose, as disturbances from a pose near their mean."""
 
 from collections.abc import Iterable
+from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -14,7 +15,7 @@ _NO_DISTANCE = 1e-10
 _MOST_STEPS = 10
 
 
-class PoseSamples(Struct, frozen=True):
+class PoseSamples(Struct, frozen=True, dict=True):
     """Samples of a pose: one near their mean, `about`, and the `disturbances` (n, 6) from it to
     them. The samples themselves are computed where they are asked for: most cameras of a filter are
     redrawn many times, a little each, before they see a robot again."""
@@ -36,12 +37,12 @@ class PoseSamples(Struct, frozen=True):
             errors = poses.difference(mean)
         return cls(mean, errors)
 
-    @property
+    @cached_property
     def poses(self) -> Pose:
         """The samples (n)."""
         return self.about.repeated(len(self.disturbances)).disturbed(self.disturbances)
 
-    @property
+    @cached_property
     def centred(self) -> Self:
         """The same samples about their mean."""
         return self.of(self.poses)
