@@ -18,10 +18,12 @@ _MOST_STEPS = 10
 class PoseSamples(Struct, frozen=True, dict=True):
     """Samples of a pose: one near their mean, `about`, and the `disturbances` (n, 6) from it to
     them. The samples themselves are computed where they are asked for: most cameras of a filter are
-    redrawn many times, a little each, before they see a robot again."""
+    redrawn many times, a little each, before they see a robot again. `is_centred`: `about` is their
+    mean."""
 
     about: Pose
     disturbances: Array
+    is_centred: bool = False
 
     @classmethod
     def of(cls, poses: Pose) -> Self:
@@ -35,17 +37,19 @@ class PoseSamples(Struct, frozen=True, dict=True):
                 break
             mean = mean.disturbed(left)
             errors = poses.difference(mean)
-        return cls(mean, errors)
+        found = cls(mean, errors, is_centred=True)
+        found.__dict__["poses"] = poses
+        return found
 
     @cached_property
     def poses(self) -> Pose:
         """The samples (n)."""
         return self.about.repeated(len(self.disturbances)).disturbed(self.disturbances)
 
-    @cached_property
+    @property
     def centred(self) -> Self:
         """The same samples about their mean."""
-        return self.of(self.poses)
+        return self if self.is_centred else self.of(self.poses)
 
     @property
     def mean(self) -> Pose:
