@@ -72,6 +72,10 @@ class Events(Struct, frozen=True):
         anywhere. `chi2`: νᵀS⁻¹ν of the innovation of each pose; `spread`: ln |S|."""
         return np.asarray(chi2 + np.minimum(spread, self.pose_score) - self.wrong_limit)
 
+    def excess(self, chi2: Array | float, spread: Array | float) -> Array:
+        """Return the same, but also against wrong ones that are off by any, even small, amounts."""
+        return np.maximum(self.over_anywhere(chi2, spread), np.subtract(chi2, self.sighting_gate))
+
     def happened(self, count: int) -> float:
         """Return the score of `count` lifts and moves, on top of those of the poses after them."""
         return -2 * math.log(self.priors.disturbed) + count * self.event_score if count else 0.0

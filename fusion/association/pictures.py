@@ -32,8 +32,9 @@ ReadPicture = tuple[tuple[Reading | None, ...], tuple[np.ndarray, ...]]
 class PictureReader:
     """Reads pictures of one robot by a camera whose pose is known, each by itself.
 
-    `places`: base_from_face of all faces where they are estimated. A sighting is wrong only if a
-    board anywhere in the room is likelier.
+    `places`: base_from_face of all faces where they are estimated; `is_strict`: a sighting is wrong
+    if it is off by more than chance, however little that is; otherwise only if a board anywhere in
+    the room is likelier.
     """
 
     def __init__(
@@ -43,8 +44,11 @@ class PictureReader:
         camera: CameraState,
         events: Events,
         places: Pose | None = None,
+        *,
+        is_strict: bool = False,
     ) -> None:
         self.camera, self.events, self.places = camera, events, places
+        self._excess = events.excess if is_strict else events.over_anywhere
         self.target, self.jitter = data.targets[robot], data.jitter.get(robot)
 
     def read(
@@ -107,7 +111,7 @@ class PictureReader:
         if self.jitter is not None:
             before = before + 2 * np.diag(self.jitter.variances)
         chi2, room = _surprise(step, before + own)
-        order = np.lexsort((self.events.over_anywhere(chi2, room), owner))
+        order = np.lexsort((self._excess(chi2, room), owner))
         rank = np.zeros(len(owner), dtype=int)
         rank[order] = np.arange(len(owner)) - np.searchsorted(owner[order], owner[order])
         mean, known = np.zeros((len(drift), 6)), np.zeros(drift.shape)
@@ -119,7 +123,7 @@ class PictureReader:
             prior = known[place] if turn else before[rows]
             error, spread = step[rows] - mean[place], prior + own[rows]
             chi2, room = _surprise(error, spread)
-            fits = self.events.over_anywhere(chi2, room) < 0
+            fits = self._excess(chi2, room) < 0
             if turn:
                 is_right[rows] = fits
             else:

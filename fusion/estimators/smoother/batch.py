@@ -25,8 +25,11 @@ from trigpoint.fusion.solver.levenberg_marquardt import Solution, Solved, solve_
 from trigpoint.geometry.rotation import Array
 
 from . import odometry_noise, standstill_noise
+from .second_look import take_back
 
 _MOST_ROUNDS = 6
+# Sightings taken back inform on their neighbours; what contradicts after that stays left out.
+_MOST_LOOKS = 2
 # The predicted decrease of χ² at which a solution has converged: a hundredth of a sigma.
 _TOLERANCE = 1e-4
 
@@ -78,7 +81,7 @@ def _solved(data: DataSet, state: State) -> tuple[State, Solved | None, int]:
     does not converge, at the latest after two rounds in a row that did not."""
     events, solved, iterations = Events(data.site.fusion.priors), None, 0
     has_converged = True
-    for _ in range(_MOST_ROUNDS):
+    for round_ in range(_MOST_ROUNDS):
         used = data.usable(state.cameras)
         if not used:
             return state, None, iterations
@@ -88,6 +91,8 @@ def _solved(data: DataSet, state: State) -> tuple[State, Solved | None, int]:
         if not (had_converged or has_converged):
             break
         changed = leave_out_contradicting(data, solved.assembled, state, events)
+        if round_ < _MOST_LOOKS:
+            changed |= take_back(data, solved.assembled, state, events)
         changed |= standstill_noise.share_out(data, solved.assembled, state)
         changed |= odometry_noise.learn(data, solved.assembled, state)
         if not changed:
