@@ -1,14 +1,18 @@
-"""The residuals of sightings at a state, and their derivatives.
+"""The residuals of sightings and of odometry at a state, and their derivatives.
 
 Every pose is disturbed by the contract's convention: t' = t + δt, R' = Exp(δθ) R in the parent's
 axes.
 """
 
 import numpy as np
+from msgspec import Struct
+from numpy.linalg import LinAlgError
 
+from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.native.library import In, Kernel, Out
 
+from .motion import Motion
 from .problem import Batch, Problem, State
 
 _NO_TWISTS = np.empty((0, 6))
@@ -31,6 +35,13 @@ _TERMS = Kernel(
     *(Out(_REAL, ("n", "k", 2)), Out(_REAL, ("n", "k", "c")), Out(_REAL, ("n", "k", "s"))),
 )
 _FACTOR = Kernel("tp_corner_factor", *_PICTURES, In(_REAL, ("v",)), Out(_REAL, ("q", "q")))
+_ODOMETRY = Kernel(
+    "tp_odometry_terms",
+    *(In(_REAL, ("n", 12)), In(_REAL, ("n", 12)), In(_REAL, ("n", 12))),
+    *(In(_REAL, ("n", 6, 6)), In(_REAL, ("n", 6, 2)), In(np.int64, ("d",))),
+    Out(_REAL, ("n", "d")),
+    *(Out(_REAL, ("n", "d", "d")), Out(_REAL, ("n", "d", "d")), Out(_REAL, ("n", "d", 2))),
+)
 
 
 def batch_residual(batch: Batch, state: State) -> Array:
@@ -119,3 +130,33 @@ def _given(batch: Batch, state: State, problem: Problem | None) -> tuple[object,
         problem is not None and batch.camera in problem.layout.lens,
         problem is not None and batch.robot in problem.layout.faces,
     )
+
+
+class OdometryTerms(Struct, frozen=True):
+    """Whitened residual (n, d) between consecutive nodes, and its derivatives."""
+
+    residual: Array
+    by_earlier: Array
+    by_later: Array
+    by_scale: Array
+
+
+def odometry_terms(earlier: Pose, later: Pose, motion: Motion, tangent: list[int]) -> OdometryTerms:
+    """Odometry's residual: t = R_iᵀ(t_j - t_i) - Δt, r = Log(R_iᵀ R_j ΔRᵀ), whitened.
+
+    Raises LinAlgError where a covariance is not positive definite.
+    """
+    count, d = len(earlier), len(tangent)
+    terms = OdometryTerms(
+        np.empty((count, d)), np.empty((count, d, d)), np.empty((count, d, d)),
+        np.empty((count, d, 2)),
+    )  # fmt: skip
+    is_determined = _ODOMETRY(
+        *(earlier.rows(), later.rows(), motion.earlier_from_later.rows()),
+        *map(np.ascontiguousarray, (motion.covariance, motion.by_scale)),
+        np.array(tangent, dtype=np.int64),
+        *(terms.residual, terms.by_earlier, terms.by_later, terms.by_scale),
+    )
+    if not is_determined:
+        raise LinAlgError("a motion's covariance is not positive definite")
+    return terms

@@ -15,20 +15,19 @@ likelihood are taken in place of the stated ones where those are rejected at one
 import msgspec
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from trigpoint.base.clock import to_ns
 from trigpoint.fusion.model.assembly import Assembled
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.odometry import SLIP, OdometryTrack
-from trigpoint.fusion.model.prediction import batch_jacobian
+from trigpoint.fusion.model.prediction import batch_jacobian, odometry_terms
 from trigpoint.fusion.model.problem import Batch, Problem, State
 from trigpoint.fusion.solver.quasi_newton import least
 from trigpoint.geometry import Pose
-from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.chi_square import chi2_limit
 from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.samples import unique
-from trigpoint.geometry.uncertainty import relative_jacobians
 from trigpoint.site.config import OdometryNoise
 
 # Drifts that go on for seconds add up over such a window; of longer ones there would be few.
@@ -123,19 +122,16 @@ def windows_of(problem: Problem, state: State, robot: str) -> Windows | None:
     start = _stacked([(seen, row) for seen, row, _ in spans])
     end = _stacked([(seen, row) for seen, _, row in spans])
     motion = chain.track.motion(moments_ns, scales).where(first)
-    whole = (start[0].inverse() @ end[0]).difference(motion.earlier_from_later)
-    by_start, by_end = relative_jacobians(start[0], end[0])
-    by_end[:, 3:, 3:] = np.linalg.solve(so3.left_jacobian(whole[:, 3:]), by_end[:, 3:, 3:])
-    by_start[:, 3:, 3:] = -by_end[:, 3:, 3:]
+    plain = replace(motion, covariance=np.broadcast_to(np.eye(6), motion.covariance.shape))
+    terms = odometry_terms(start[0], end[0], plain, chain.tangent)
+    by_pictures = _carried(terms.by_earlier, start[1]) + _carried(terms.by_later, end[1])
     free = np.ix_(range(len(spans)), chain.tangent, chain.tangent)
-    by_pictures = _carried(by_start[free], start[1]) + _carried(by_end[free], end[1])
     by_noise = [
         track.motion(moments_ns, scales).where(first).covariance[free]
         for track in _of_one_part(chain.track)
     ]
     is_known = motion.covariance[free].max(axis=(1, 2)) < 1.0
-    difference = whole[:, chain.tangent]
-    return Windows(difference[is_known], by_pictures[is_known], np.array(by_noise)[:, is_known])
+    return Windows(terms.residual[is_known], by_pictures[is_known], np.array(by_noise)[:, is_known])
 
 
 def _seen(problem: Problem, batch: Batch, state: State) -> _Seen:

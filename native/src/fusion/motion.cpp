@@ -100,3 +100,29 @@ OdometryTerm::OdometryTerm(const Pose& earlier, const Pose& later, const Pose& m
 }
 
 }  // namespace trigpoint
+
+using namespace trigpoint;
+
+// (earlier (n, 12), later (n, 12), motion (n, 12), its covariance (n, 6, 6), by the scales
+// (n, 6, 2), tangent (d,), residual (n, d), by earlier (n, d, d), by later (n, d, d), by the scales
+// (n, d, 2)): 1, or 0 where a covariance is not positive definite; see `odometry_terms`.
+TRIGPOINT_KERNEL(tp_odometry_terms) {
+    const Tangent tangent(arguments[5].array.as<std::int64_t>(), arguments[5].array.shape[0]);
+    const Index count = arguments[0].array.shape[0], d = tangent.count;
+    const auto numbers = [&](int which) { return arguments[which].array.as<double>(); };
+    try {
+        for (Index n = 0; n < count; ++n) {
+            const auto pose = [&](int which) { return pose_at(numbers(which) + 12 * n); };
+            const OdometryTerm term(pose(0), pose(1), pose(2),
+                                    Eigen::Map<const BySteps>(numbers(4) + 12 * n), tangent,
+                                    whitening(numbers(3) + 36 * n, tangent));
+            Eigen::Map<Eigen::VectorXd>(numbers(6) + d * n, d) = term.residual;
+            Eigen::Map<RowMajor>(numbers(7) + d * d * n, d, d) = term.by.leftCols(d);
+            Eigen::Map<RowMajor>(numbers(8) + d * d * n, d, d) = term.by.middleCols(d, d);
+            Eigen::Map<RowMajor>(numbers(9) + 2 * d * n, d, 2) = term.by.rightCols(2);
+        }
+    } catch (const Undetermined&) {
+        return 0;
+    }
+    return 1;
+}

@@ -3,10 +3,9 @@
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
-from support.fusion.slow_odometry import odometry_terms
 
 from trigpoint.fusion.model.assembly import Assembled
-from trigpoint.fusion.model.prediction import base_jacobian, batch_jacobian
+from trigpoint.fusion.model.prediction import base_jacobian, batch_jacobian, odometry_terms
 from trigpoint.geometry.rotation import Array
 
 

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from support.fusion.slow_odometry import odometry_terms
 
 from trigpoint.base.clock import to_ns
 from trigpoint.fusion.model.motion import odometry_step
 from trigpoint.fusion.model.odometry import OdometryTrack
+from trigpoint.fusion.model.prediction import odometry_terms
 from trigpoint.geometry import Pose
 from trigpoint.site.config import OdometryNoise
 

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 from numpy.linalg import LinAlgError
-from support.fusion.slow_odometry import odometry_terms
 from support.fusion.slow_problem import known_errors, rescaled, slow_equations
 from support.fusion.small_problems import (
     first_state,
@@ -18,7 +17,7 @@ from support.fusion.small_problems import (
 )
 
 from trigpoint.fusion.model.assembly import Assembled, assemble
-from trigpoint.fusion.model.prediction import batch_jacobian
+from trigpoint.fusion.model.prediction import batch_jacobian, odometry_terms
 from trigpoint.fusion.model.problem import Problem, State
 from trigpoint.fusion.solver.equations import EXACT
 from trigpoint.fusion.solver.levenberg_marquardt import linearise, minimise
