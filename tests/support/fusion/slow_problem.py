@@ -6,12 +6,12 @@ from msgspec import Struct
 from msgspec.structs import replace
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from support.fusion.picture_jitter import PictureJitter
-from support.fusion.slow_odometry import odometry_terms
 
 from trigpoint.fusion.model.motion import Motion
 from trigpoint.fusion.model.prediction import (
     batch_jacobian,
     batch_residual,
+    odometry_terms,
 )
 from trigpoint.fusion.model.problem import Batch, CameraState, Layout, Problem, RobotState, State
 from trigpoint.fusion.solver.equations import EXACT
