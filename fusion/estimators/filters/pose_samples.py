@@ -38,7 +38,7 @@ class PoseSamples(Struct, frozen=True, dict=True):
             mean = mean.disturbed(left)
             errors = poses.difference(mean)
         found = cls(mean, errors, is_centred=True)
-        found.__dict__["poses"] = poses
+        vars(found)["poses"] = poses  # as `poses` would compute them
         return found
 
     @cached_property
