@@ -9,8 +9,7 @@ from typing import Annotated
 
 import typer
 
-from .machine import machine
-from .report import tell, write_report
+from .report import machine, tell, write_report
 from .table import BENCHMARKS, Row, columns
 
 _FOLDER = Path("out")

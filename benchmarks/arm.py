@@ -19,8 +19,8 @@ import numpy as np
 import typer
 
 from trigpoint.edge.sources.picture_files import listed_pictures
-from trigpoint.site.target import Face
-from trigpoint.site.toml_file import said_of, toml_table
+from trigpoint.site.target import Target
+from trigpoint.tools.shapes.text import target_text
 
 from .pictures.real_sets import SETS, PictureSet
 from .report import tell
@@ -60,7 +60,7 @@ def _compared(
     """How far any corner lies from where it is found here; the same must be found in both, and
     something in some picture."""
     target = out / "target.toml"
-    target.write_text(_target_text(pictured.face))
+    target.write_text(target_text(Target("board", (pictured.face,))))
     words = ["-m", "trigpoint", "detect", *map(str, pictures), "--target", str(target), "--json"]
     began = time.perf_counter()
     there = _sightings([*python, "-P", *words], {"PYTHONPATH": str(site.resolve())})
@@ -137,12 +137,6 @@ def _packages(python: list[str], dist: Path, packages: Path) -> Path:
         ]
     )
     return packages
-
-
-def _target_text(face: Face) -> str:
-    place = {"translation": [0.0, 0.0, 0.0], "quaternion": [0.0, 0.0, 0.0, 1.0]}
-    said = {key: getattr(value, "value", value) for key, value in said_of(face).items()}
-    return "\n".join(['name = "board"', *toml_table("[faces]", said | place)])
 
 
 def _sightings(command: list[str], beside: dict[str, str]) -> list[dict[str, Any]]:

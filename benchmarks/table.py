@@ -45,7 +45,7 @@ BENCHMARKS: dict[str, Benchmark] = {
         "calib_targets",
     ),
     "world": Benchmark(
-        "the same of boards as the world shows them", "pictures.world_detection:run", "skimage"
+        "the same of boards as the world shows them", "pictures.world:run", "skimage"
     ),
     "agent": Benchmark("what does an agent of eight cameras take of a core?", "pictures.agent:run"),
     "messages": Benchmark("what do messages cost beside rosbags?", "network.messages:run"),

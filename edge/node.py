@@ -99,7 +99,7 @@ class EdgeNode:
             self._site,
             self._clock.now_ns,
             self._site.bearable_clock_offset_s(self._camera),
-            f"what camera {self._camera} sees is taken for earlier or later",
+            f"what camera {self._camera} sees is not used beside clocks that are right",
         )
         self._node.work("clock", watch.run)
 

@@ -92,12 +92,9 @@ class Diagnostics:
         for name, problem in (self._admission.problems | pipeline.problems).items():
             if self._is_now(name, problem.count, now_ns):
                 found[name] = problem.text
-        if pipeline.doubted:
-            found["clocks"] = (
-                f"no corrections by {', '.join(sorted(pipeline.doubted))}: a clock was set and is "
-                "not followed yet"
-            )
-        found |= {f"nudged {camera}": text for camera, text in pipeline.nudges.open.items()}
+        if pipeline.is_clock_set:
+            found["clock"] = "no corrections: this machine's clock was set and is not followed yet"
+        found |= {f"doubted {node}": text for node, text in pipeline.doubted.items()}
         for part in (self._stale, self._silent, self._apart):
             found |= dict(part(pipeline, now_ns))
         return found

@@ -8,6 +8,7 @@ from trigpoint.base.clock import Clock, to_ns
 from trigpoint.base.errors import MessageError
 from trigpoint.bus.bus import Bell, Bus, Sample, Subscription
 from trigpoint.contract import cdr, topics
+from trigpoint.contract.clock_doubt import DoubtFilter
 from trigpoint.contract.messages import (
     CameraInfo,
     Diagnostics,
@@ -16,7 +17,6 @@ from trigpoint.contract.messages import (
     Sightings,
     stamped,
 )
-from trigpoint.contract.nudge import may_tell_of_nudges
 from trigpoint.contract.topics import DIAGNOSTICS, Topic
 from trigpoint.node.node import Node
 
@@ -37,8 +37,8 @@ INPUT_TOPICS: dict[type[Message], Topic] = {
 
 
 class Inbox:
-    """Odometry, camera_info and sightings of a site, and the diagnostics of cameras that were
-    moved, as they come. Used by one thread at a time. `delays`: of what came."""
+    """Odometry, camera_info and sightings of a site, and the diagnostics of who cannot be relied
+    on, as they come. Used by one thread at a time. `delays`: of what came."""
 
     def __init__(
         self,
@@ -53,6 +53,7 @@ class Inbox:
         self.delays = Delays(node.health, clock)
         self._subscriptions: list[tuple[Topic, Subscription]] = []
         self._news = Bell()
+        self._doubts = DoubtFilter()
 
     def open(self, site: str) -> None:
         """Subscribe."""
@@ -98,7 +99,7 @@ class Inbox:
 
     def _accepted(self, topic: Topic, sample: Sample) -> tuple[Sample, Input | Diagnostics] | None:
         """The sample and its message; None where it is not to be used."""
-        if topic is DIAGNOSTICS and not may_tell_of_nudges(sample.payload):
+        if topic is DIAGNOSTICS and not self._doubts.wants(sample.payload):
             return None
         try:
             if not topic.may_be(sample.encoding):

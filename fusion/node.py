@@ -185,7 +185,7 @@ class FusionNode:
         """Take in and use what has come; the messages to send."""
         self._take_in()
         began_ns = self._clock.elapsed_ns()
-        self._pipeline.doubted = self._doubted()
+        self._pipeline.is_clock_set = bool(self._node.clock_set_by_ns)
         outputs = self._pipeline.advance(self._clock.now_ns(), most=_MOST_USED)
         took_s = to_seconds(self._clock.elapsed_ns() - began_ns)
         self._longest_s = max(self._longest_s, took_s)
@@ -228,13 +228,6 @@ class FusionNode:
         trouble = storage.trouble if storage is not None else ""
         now_ns = self._clock.elapsed_ns()
         self._diagnostics.report(self._pipeline, health, now_ns, checkpoint=trouble)
-
-    def _doubted(self) -> frozenset[str]:
-        """The cameras and robots whose clocks were set and are not followed yet; all cameras where
-        it is this machine's."""
-        if self._node.clock_set_by_ns:
-            return frozenset(self._site.cameras)
-        return self._node.doubted_names
 
     # -- learning, or not -------------------------------------------------------------------------
 

@@ -18,6 +18,7 @@ from .estimators.residuals import CameraResiduals
 from .estimators.results import Results, map_id_of
 from .fixed.network import FixedNetwork
 from .intake.arrivals import Arrivals
+from .intake.clock_doubts import ClockDoubts
 from .intake.left_out import Problem
 from .intake.message_intake import Intake
 from .intake.nudges import Nudges
@@ -68,9 +69,9 @@ class Pipeline:
         self._robots = RobotAnnouncements(inputs.site.fusion.correction_rate)
         self._early: list[tuple[str, Sightings]] = []
         self._stale_ns: dict[str, int] = {}
-        # These cameras and robots make no corrections: their clocks were set, and are not followed.
-        self.doubted: frozenset[str] = frozenset()
         self.nudges = Nudges(data, is_fixed=fixed is not None)
+        self.clocks = ClockDoubts(inputs.site)
+        self.is_clock_set = False  # this machine's, and not followed yet: no corrections meanwhile
 
     @property
     def map_id(self) -> UUID | None:
@@ -90,7 +91,7 @@ class Pipeline:
 
     @property
     def last_problem(self) -> str:
-        """The last message that could not be used, as text; "" where there was none."""
+        """The last message that could not be used; "" where there was none."""
         return self._left_out.last_problem
 
     @property
@@ -100,17 +101,15 @@ class Pipeline:
 
     @property
     def notes(self) -> list[str]:
-        """What a user should know of the session, as text: each event (at most the last hundred),
-        the last problem with messages for each reason and sender, what they lacked, and what is in
-        doubt."""
+        """What a user should know of the session: each event (at most the last hundred), the last
+        problem for each reason and sender, what messages lacked, and what is in doubt."""
         events = [event.text for event in self._left_out.events]
         problems = [problem.text for problem in self.problems.values()]
         return [*events, *problems, *self.arrivals.notes]
 
     @property
     def stale_ns(self) -> dict[str, int]:
-        """Robot -> by how much its last odometry message is older than the one before it, for
-        those that send old ones now."""
+        """Robot that sends old odometry now -> by how much that is older than what came before."""
         return dict(self._stale_ns)
 
     def waits_for(self, robot: str) -> bool:
@@ -182,8 +181,16 @@ class Pipeline:
             )
         return True
 
+    @property
+    def doubted(self) -> dict[str, str]:
+        """Camera or robot that says that it cannot be relied on -> what is to be said of it."""
+        return self.nudges.open | self.clocks.open
+
     def _push_diagnostics(self, message: Diagnostics) -> bool:
-        """Take that cameras noticed that they were moved; whether any of it is new."""
+        """Take that cameras were moved and clocks are off; whether it may add to the map (what is
+        left out for a clock is not stored)."""
+        for words in self.clocks.hear(message):
+            self._left_out.happened(Event("clock_doubted", words))
         moves = self.nudges.new_in(message)
         for move in moves:
             self._estimator.camera_moved(move)
@@ -217,6 +224,10 @@ class Pipeline:
     def _push_sightings(self, camera: str, message: Sightings) -> bool:
         if self._fixed is not None and camera not in self._fixed.states:
             self._left_out.add("not_in_the_map")
+            return False
+        if why := self.clocks.why(camera, self._intake.robots_in(message)):
+            self.arrivals.unused[camera] = why
+            self._left_out.add("clock_in_doubt")
             return False
         config = self.site.cameras[camera]
         if camera not in self._data.lenses and config.estimates_intrinsics:
@@ -327,7 +338,8 @@ class Pipeline:
             self._take_cameras(observation.stamp_ns, is_urgent=True)
 
     def _correct(self, observation: Observation, estimate: RobotEstimate) -> None:
-        if self.doubted & {observation.robot, observation.camera}:
+        doubt = self.clocks.why(observation.camera, [observation.robot])
+        if self.is_clock_set or doubt:
             self._left_out.add("clock_in_doubt")
         elif (map_id := self.map_id) is not None:
             self._outputs += self._robots.correction(map_id, observation, estimate)

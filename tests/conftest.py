@@ -26,6 +26,15 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
+# A shell has what it starts in the background ignore these, and so would every program that a test
+# starts and means to end by them.
+for _number, _usual in (
+    (signal.SIGINT, signal.default_int_handler),
+    (signal.SIGHUP, signal.SIG_DFL),
+):
+    if signal.getsignal(_number) is signal.SIG_IGN:
+        signal.signal(_number, _usual)
+
 # A deadline would assert a speed, and so does the look at how slow examples are made. Every run
 # draws the same ones, so that a change is not stopped by what another one broke;
 # TRIGPOINT_EXPLORE=1 draws others.

@@ -1,5 +1,6 @@
 """The program: a table of commands; only the chosen one is imported."""
 
+import errno
 import gc
 import importlib
 import itertools
@@ -242,6 +243,11 @@ def run(arguments: Sequence[str]) -> int:
         if missing is None:
             raise
         return _fail(str(missing), missing.exit_status)
+    except OSError as error:
+        if not (error.filename and error.strerror):
+            raise
+        wrong = f"{error.filename}: {error.strerror[:1].lower()}{error.strerror[1:]}"
+        return _fail(f"{wrong}; check the path, its rights and its disk", _status_of(error))
     except typer.Abort:
         return 130
     if not arguments:
@@ -378,6 +384,11 @@ def missing_extra(error: ModuleNotFoundError, user: str, extra: str) -> MissingE
         f"`{user}` needs the package «{package}», which is not installed here; "
         f"run: {install_command(extra)}"
     )
+
+
+def _status_of(error: OSError) -> int:
+    """1 where a disk failed or is full, 2 where another path is to be given."""
+    return 1 if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO) else 2
 
 
 def _fail(text: str, status: int) -> int:

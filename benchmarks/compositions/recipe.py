@@ -95,18 +95,6 @@ class Recipe(Struct, frozen=True):
         unknown = (self.tilt_deg, self.wobble_m, self.slip, self.has_tails)
         return any(unknown) or self.stated != 1.0
 
-    @property
-    def what(self) -> dict[str, Any]:
-        """What differs from a plain session, for truth.json."""
-        plain = Recipe(self.kind, self.seed)
-        names = [name for name in self.__struct_fields__ if name != "seed"]
-        always = {"kind", "route", "cameras", "sigma_px", "noise", "stated"}
-        return {
-            name: getattr(self, name)
-            for name in names
-            if name in always or getattr(self, name) != getattr(plain, name)
-        }
-
 
 def drawn(kind: str, seed: int) -> Recipe:
     """The recipe of a kind and a seed; raise ValueError that lists the kinds."""

@@ -123,7 +123,8 @@ class Faults:
         filler.unlink()
 
     def _flood(self) -> None:
-        words = [sys.executable, "-m", "benchmarks.endurance.flood"]
+        words = [sys.executable, "-m", "benchmarks.network.node", "flood"]
         site = str(self._disk.parent / "cameras.toml")
-        line = self._cameras.command(*words, site, "c2", str(_BREAK_S))
-        subprocess.run(line, check=True, timeout=60)
+        line = self._cameras.command(*words, site, str(_BREAK_S), "0")
+        go = "go\n{}\n"  # and that there is nothing to wait for
+        subprocess.run(line, input=go, stdout=subprocess.DEVNULL, text=True, check=True, timeout=60)

@@ -14,11 +14,10 @@ lives long enough for its memory to say something.
 
 import itertools
 import subprocess
-import sys
 import threading
 import time
 import traceback
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
@@ -27,7 +26,7 @@ import typer
 from msgspec import Struct, field, json
 from msgspec.structs import replace
 
-from benchmarks.network.segments import PORT, Segments, certify
+from benchmarks.network.segments import PORT, Child, Segments, certify
 from benchmarks.table import Row
 from benchmarks.timing import family, resident_mb
 from trigpoint.contract.access import Kind
@@ -104,7 +103,7 @@ class Soak:
         self._clock = SettableClock(folder)
         self.programs = self._started()
         self._faults = Faults(self.programs, self._segments, self._clock, self._disk).each()
-        self._watch = self._start_watch()
+        self._start_watch()
 
     @property
     def _disk_mb(self) -> int:
@@ -163,26 +162,17 @@ class Soak:
         parts = Supervisor(inside, lambda name: LogFile.of(name, self.folder), say=print)
         return dict(zip(specs, self._stack.enter_context(parts).parts, strict=True))
 
-    def _start_watch(self) -> "subprocess.Popen[str]":
-        words = self._segments.router.command(
-            sys.executable, "-m", "benchmarks.endurance.watch", str(self.folder / "server.toml")
-        )
-        watch = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        thread = threading.Thread(target=self._hear, args=(watch,))
+    def _start_watch(self) -> None:
+        """Hear what the site says, until the stack ends."""
+        words = ("benchmarks.endurance.watch", str(self.folder / "server.toml"))
+        watch = Child(self._segments.router, self._stack, *words)
+        thread = threading.Thread(target=self._hear, args=(watch.output,))
         thread.start()
+        self._stack.callback(thread.join)
+        self._stack.callback(watch.input.close)
 
-        def stop() -> None:
-            assert watch.stdin is not None
-            watch.stdin.close()
-            thread.join()
-            watch.wait()
-
-        self._stack.callback(stop)
-        return watch
-
-    def _hear(self, watch: "subprocess.Popen[str]") -> None:
-        assert watch.stdout is not None
-        for text in watch.stdout:
+    def _hear(self, lines: Iterable[str]) -> None:
+        for text in lines:
             row = json.decode(text)
             row["t"] -= self._began_s
             self._last |= {name: one["last"] for name, one in row["heard"].items()}

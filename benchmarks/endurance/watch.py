@@ -17,8 +17,9 @@ from trigpoint.base.errors import MessageError
 from trigpoint.bus.bus import Bus, Subscription
 from trigpoint.contract import topics
 from trigpoint.contract.cdr import decode
-from trigpoint.contract.messages import Diagnostics, Odometry, PoseEstimate, Sightings
+from trigpoint.contract.messages import Odometry, PoseEstimate, Sightings
 from trigpoint.site.config import load_site
+from trigpoint.tools.site.status import statuses_in
 from trigpoint.zenoh import open_bus
 
 _PERIOD_S = 0.5
@@ -91,12 +92,7 @@ def _maps(bus: Bus, site: str) -> list[str]:
 
 def _hear(diagnostics: Subscription, losses: dict[str, dict[str, int]]) -> None:
     while (sample := diagnostics.take(0.0)) is not None:
-        try:
-            message = decode(topics.DIAGNOSTICS.type_name, sample.payload)
-        except MessageError:
-            continue
-        assert isinstance(message, Diagnostics)
-        for status in message.statuses:
+        for status in statuses_in(sample):
             lost = {k: int(v) for k, v in status.values.items() if k.endswith(".lost") and v != "0"}
             process = status.values.get("process", "")
             losses[f"{status.name} {process}"] = lost | {"level": int(status.level)}

@@ -41,7 +41,7 @@ from trigpoint.contract.access import Kind
 
 from .impairment import Impairment
 from .node import Came
-from .segments import PORT, Segments, certify
+from .segments import PORT, Child, Segments, certify
 
 _row = partial(Row, "networks")
 _SETTLE_S = 1.0
@@ -121,7 +121,7 @@ class Site:
         self.links = self._segments.links
         self._write(scenario.picture_rate)
         self._router: subprocess.Popen[str] | None = None
-        self.nodes: dict[str, subprocess.Popen[str]] = {}
+        self.nodes: dict[str, Child] = {}
 
     def _write(self, rate: float) -> None:
         addresses = self._segments.addresses
@@ -150,26 +150,19 @@ class Site:
             self._router.wait()
             self._router = None
 
-    def node(self, role: str, seconds: float, linger_s: float) -> "subprocess.Popen[str]":
+    def node(self, role: str, seconds: float, linger_s: float) -> Child:
         segment = "robot" if role == "viewer" else role  # where pictures meet corrections
-        words = [sys.executable, "-m", "benchmarks.network.node", role]
-        words += [str(self._folder / f"{segment}.toml"), str(seconds), str(linger_s)]
-        node = subprocess.Popen(
-            self._segments.spaces[segment].command(*words),
-            text=True,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-        )
-        self._stack.callback(node.wait)
-        self._stack.callback(node.kill)
-        self.nodes[role] = node
+        words = [role, str(self._folder / f"{segment}.toml"), str(seconds), str(linger_s)]
+        space = self._segments.spaces[segment]
+        node = self.nodes[role] = Child(space, self._stack, "benchmarks.network.node", *words)
         return node
 
     def sizes(self) -> dict[str, tuple[float, int]]:
         """Of each node: resident memory in MB, and threads."""
         return {
-            role: (resident_mb(node.pid), len(list(Path(f"/proc/{node.pid}/task").iterdir())))
+            role: (resident_mb(pid), len(list(Path(f"/proc/{pid}/task").iterdir())))
             for role, node in self.nodes.items()
+            for pid in [node.process.pid]
         }
 
 
@@ -199,43 +192,23 @@ def run(scenario: Scenario) -> dict[str, Key]:
         if scenario.late_router:
             acting.start()
         for node in nodes:
-            _begin(node)
+            if node.line() != "ready\n":
+                raise RuntimeError("a node of the benchmark did not open its bus")
         time.sleep(_SETTLE_S)
         for node in nodes:
-            _say(node, "go")
+            node.tell("go")
         if not scenario.late_router:
             acting.start()
         sent: dict[str, int] = {}
         for node in nodes:
-            sent |= json.loads(_line_of(node))
+            sent |= json.loads(node.line())
         acting.join()
         # Fusion first: who left would take along what it keeps, and what still waits for its link.
         answers = []
         for role in sorted(scenario.roles, key=lambda role: role != "fusion"):
-            _say(site.nodes[role], json.dumps(sent))
-            answers.append(json.loads(_line_of(site.nodes[role])))
+            site.nodes[role].tell(json.dumps(sent))
+            answers.append(json.loads(site.nodes[role].line()))
     return _keys(sent, answers)
-
-
-def _begin(node: "subprocess.Popen[str]") -> None:
-    """Wait for a node that has opened its bus."""
-    if _line_of(node) != "ready\n":
-        raise RuntimeError("a node of the benchmark did not open its bus")
-
-
-def _line_of(node: "subprocess.Popen[str]") -> str:
-    """The next line that a node says; a node that hangs hangs the run, which has a time limit."""
-    assert node.stdout is not None
-    text = node.stdout.readline()
-    if not text:
-        raise RuntimeError(f"a node of the benchmark ended with status {node.wait()}")
-    return text
-
-
-def _say(node: "subprocess.Popen[str]", text: str) -> None:
-    assert node.stdin is not None
-    node.stdin.write(f"{text}\n")
-    node.stdin.flush()
 
 
 def _keys(sent: dict[str, int], answers: list[dict[str, dict]]) -> dict[str, Key]:

@@ -16,7 +16,7 @@ import sys
 import tempfile
 import time
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from multiprocessing.synchronize import Event
@@ -107,16 +107,25 @@ def _site(folder: Path, cameras: int, robots: int) -> Iterator[Path]:
     (folder / "target.toml").write_text(TARGET_TEXT, encoding="utf-8")
     name = f"board_bench_p{os.getpid()}"
     path.write_text(site_text(name=name, cameras=cameras, robots=robots), encoding="utf-8")
+    with _beside(_publish, path, cameras, robots):
+        yield path
+
+
+@contextmanager
+def _beside(work: Callable[..., None], *arguments: object) -> Iterator[int]:
+    """Work in a process of its own inside the `with` block, at whose end its last argument is set;
+    its id."""
     context = multiprocessing.get_context("spawn")
     over = context.Event()
-    publisher = context.Process(target=_publish, args=(path, cameras, robots, over))
-    publisher.start()
+    process = context.Process(target=work, args=(*arguments, over), daemon=True)
+    process.start()
     try:
-        yield path
+        assert process.pid is not None
+        yield process.pid
     finally:
         over.set()
-        publisher.join(20)
-        publisher.kill()
+        process.join(20)
+        process.kill()
 
 
 def _publish(path: Path, cameras: int, robots: int, over: Event) -> None:
@@ -133,23 +142,8 @@ def _board(site: Path) -> tuple[subprocess.Popen[str], str]:
     return process, process.stdout.readline().rpartition(" ")[2].strip()
 
 
-@contextmanager
-def _bare(site: Path) -> Iterator[int]:
-    """Bare Zenoh subscribers to all that the page shows, in a process of their own; its id."""
-    context = multiprocessing.get_context("spawn")
-    over = context.Event()
-    hearer = context.Process(target=_hear_bare, args=(site, over), daemon=True)
-    hearer.start()
-    try:
-        assert hearer.pid is not None
-        yield hearer.pid
-    finally:
-        over.set()
-        hearer.join(20)
-        hearer.kill()
-
-
 def _hear_bare(path: Path, over: Event) -> None:
+    """Bare Zenoh subscribers to all that the page shows."""
     site = load_site(path)
     with open_bus(site) as bus:
         session = bus._session  # what is beneath ours is measured
@@ -171,7 +165,7 @@ def _transfer(site: Path, address: str, pid: int, seconds: float) -> list[Row]:
             f"GET /events HTTP/1.1\r\nHost: {host}\r\nAccept-Encoding: gzip\r\n\r\n".encode()
         )
         state = _taken(page, 0.5)
-        with _bare(site) as bare:
+        with _beside(_hear_bare, site) as bare:
             _taken(page, _SETTLED_S)
             busy_s, begin_s = [worked_s(each) for each in (pid, bare)], time.monotonic()
             steady = _taken(page, seconds)

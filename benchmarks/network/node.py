@@ -60,6 +60,12 @@ NODES: dict[str, tuple[tuple[Kind, str], tuple[Sent, ...], tuple[Topic, ...]]] =
         (topics.ODOMETRY, topics.SIGHTINGS),
     ),
     "viewer": ((Kind.VIEWER, "bob"), (), (topics.IMAGE,)),
+    # What a broken or a stolen camera can do within its rules: large pictures, and garbage.
+    "flood": (
+        (Kind.CAMERA, "c2"),
+        (Sent(topics.IMAGE, "c2", 1000.0, 200_000), Sent(topics.SIGHTINGS, "c2", 1000.0, 17)),
+        (),
+    ),
 }
 """Who shows what certificate, sends what, and listens to what."""
 

@@ -1,9 +1,12 @@
 """A secured site in segments of a network: a namespace for each, tied to the router's by a link of
-its own that delays and loses."""
+its own that delays and loses; and programs in them."""
 
+import subprocess
+import sys
 from collections.abc import Iterable
 from contextlib import ExitStack
 from pathlib import Path
+from typing import IO
 
 from trigpoint.contract.access import Identity, Kind
 from trigpoint.tools.secure.authority import Authority, addresses_of
@@ -35,6 +38,33 @@ def _space(stack: ExitStack) -> Namespace:
     space = Namespace()
     stack.callback(space.close)
     return space
+
+
+class Child:
+    """A module as a program in a namespace, which is told lines and says some; it is killed with
+    the stack."""
+
+    def __init__(self, space: Namespace, stack: ExitStack, *words: str) -> None:
+        line = space.command(sys.executable, "-m", *words)
+        pipe = subprocess.PIPE
+        self.process = subprocess.Popen(line, text=True, stdin=pipe, stdout=pipe)
+        stack.callback(self.process.wait)
+        stack.callback(self.process.kill)
+        assert self.process.stdin is not None
+        assert self.process.stdout is not None
+        self.input: IO[str] = self.process.stdin
+        self.output: IO[str] = self.process.stdout
+
+    def tell(self, text: str) -> None:
+        self.input.write(f"{text}\n")
+        self.input.flush()
+
+    def line(self) -> str:
+        """The next that it says, waited for; raises RuntimeError where it has ended."""
+        text = self.output.readline()
+        if not text:
+            raise RuntimeError(f"a program of the benchmark ended with {self.process.wait()}")
+        return text
 
 
 def certify(folder: Path, nodes: Iterable[tuple[Kind, str]], addresses: Iterable[str] = ()) -> None:

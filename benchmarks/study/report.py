@@ -11,7 +11,7 @@ import numpy as np
 from msgspec import Struct
 
 from benchmarks.compositions.recipe import KINDS
-from benchmarks.machine import machine
+from benchmarks.report import machine
 
 from .result import Outcome, Result, Verdict
 from .score import GOAL_S, GOAL_SHARE

@@ -14,8 +14,8 @@ from benchmarks.compositions.files import write_composition
 from benchmarks.compositions.session import Composition, composed_session
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
-from trigpoint.map.network import CameraRecord, Network, load_covariance, load_network
-from trigpoint.tools.networks.truth import joint_error
+from trigpoint.map.network import CameraRecord, PoseRecord, load_covariance, load_network
+from trigpoint.tools.networks.truth import CameraError, TruthFile, network_error
 
 from .result import Camera, Outcome, Result, Verdict
 
@@ -50,15 +50,18 @@ def score_of(
     elif code or not (out / "network.json").exists():
         lines = said.strip().splitlines()
         outcome, why = Outcome.FAILED, f"exit {code}: {lines[-1] if lines else ''}"[:160]
+    cameras, error = [], None
     network = load_network(out) if outcome is Outcome.DONE else None
-    said_of = network.cameras if network is not None else {}
     places, pictures = session.last_places(), session.pictures_at_last()
-    cameras = [
-        _camera(name, said_of.get(name), place, pictures[name]) for name, place in places.items()
-    ]
-    honesty = None
-    if network is not None and not any(camera.verdict is Verdict.WRONG for camera in cameras):
-        honesty = _honesty(out, network, places)
+    if network is not None:
+        truth = TruthFile({name: PoseRecord.of(place) for name, place in places.items()})
+        error = network_error(network, load_covariance(out, network), truth)
+    for name, place in places.items():
+        record = network.cameras.get(name) if network is not None else None
+        mine = error.cameras.get(name) if error is not None else None
+        cameras.append(_camera(name, record, mine, place, pictures[name]))
+    is_wrong = any(camera.verdict is Verdict.WRONG for camera in cameras)
+    honesty = None if error is None or is_wrong else error.nees
     return Result(
         session=recipe.kind,
         seed=recipe.seed,
@@ -107,19 +110,20 @@ def _children_s() -> float:
     return used.ru_utime + used.ru_stime
 
 
-def _camera(name: str, said: CameraRecord | None, place: Pose, pictures: int) -> Camera:
-    if said is None or said.map_from_camera is None:
+def _camera(
+    name: str, said: CameraRecord | None, error: CameraError | None, place: Pose, pictures: int
+) -> Camera:
+    """`error`: where it is located."""
+    if said is None or error is None:
         return Camera(name, Verdict.UNKNOWN, pictures=pictures, among=_among(said, place))
-    error = said.map_from_camera.pose.difference(place)[:3]
-    sigmas, error_m = _sigmas(error, said.covariance_matrix), float(np.linalg.norm(error))
-    is_far = error_m > WRONG_M and sigmas > WRONG_M_SIGMAS
+    is_far = error.position > WRONG_M and error.sigmas > WRONG_M_SIGMAS
     return Camera(
         name,
-        Verdict.WRONG if is_far or sigmas > WRONG_SIGMAS else Verdict.RIGHT,
+        Verdict.WRONG if is_far or error.sigmas > WRONG_SIGMAS else Verdict.RIGHT,
         pictures=pictures,
         is_confirmed=said.confirmed,
-        error_m=error_m,
-        sigmas=sigmas,
+        error_m=error.position,
+        sigmas=error.sigmas,
     )
 
 
@@ -138,15 +142,3 @@ def _sigmas(error: Array, covariance: Array) -> float:
     """Of a position's error (3,) by its pose's covariance."""
     position = covariance.reshape(6, 6)[:3, :3]
     return float(np.sqrt(error @ np.linalg.pinv(position) @ error))
-
-
-def _honesty(out: Path, network: Network, places: dict[str, Pose]) -> float | None:
-    located = [name for name in network.located if name in places]
-    if not located:
-        return None
-    covariance = load_covariance(out, network)
-    rows = np.concatenate([6 * network.located.index(name) + np.arange(6) for name in located])
-    records = [network.cameras[name].map_from_camera for name in located]
-    estimated = [record.pose for record in records if record is not None]
-    true = [places[name] for name in located]
-    return joint_error(estimated, true, covariance[np.ix_(rows, rows)])

@@ -13,6 +13,7 @@ import numpy as np
 from msgspec import Struct
 
 from trigpoint.base.errors import OperationError
+from trigpoint.base.words import counted
 from trigpoint.geometry import CameraModel
 from trigpoint.geometry.rotation import Array
 
@@ -132,7 +133,8 @@ _TOO_ALIKE = (
 
 
 def _too_few(found: int, good: int) -> str:
-    text = f"{found} views of the target were found"
+    were = "was" if found == 1 else "were"
+    text = f"{counted(found, 'view')} of the target {were} found"
     text += f", {good} of them good" if good < found else ""
     return f"{text}; a calibration needs {FEWEST_VIEWS}, better 20: add pictures"
 

@@ -46,6 +46,7 @@ class MarkedSearch(FaceFinder):
         own = tuple(dict.fromkeys(board.look for board in boards))
         self._wrong = MisdescribedBoards(own, [look.face for look in looks])
         self._denied = set[Appearance]()
+        self._quads = 0  # in the last picture
         self._compared: dict[Appearance, set[int]] = {}
 
     def locate(
@@ -54,16 +55,19 @@ class MarkedSearch(FaceFinder):
         """The boards in a grey picture, or those of some markers in a part of it; inverted ones
         are looked for in its negative."""
         self._denied.clear()
+        self._quads = 0
         found: list[Located] = []
         for inverted in (False, True):
             boards = [board for board in self._boards if board.look.face.inverted is inverted]
             if boards and not is_over():
                 shown = cv2.bitwise_not(grey) if inverted else grey
                 found += self._search(shown, boards, is_over, within)
+        # What one picture contradicts in one place, it does not prove in another.
+        found = [board for board in found if board.look not in self._denied]
         for board in found:
             self._wrong.confirm(board.look)
         if self._denied or not (found or within or is_over()):
-            self._wrong.look(grey, self._denied, is_over)
+            self._wrong.look(grey, self._denied, is_over, quads=self._quads)
         self.misdescribed = tuple(self._wrong.lines.values())
         return [board for board in found if board.look not in self._wrong.refused]
 
@@ -111,6 +115,7 @@ class MarkedSearch(FaceFinder):
         self, grey: np.ndarray, boards: list[MarkedBoard], is_over: IsOver, within: Region | None
     ) -> list[Located]:
         quads = self._finder.find(grey, is_over, within)
+        self._quads = max(self._quads, len(quads))
         if len(quads) == 0 or is_over():
             return []
         least = LEAST_PLAIN if within else 1

@@ -8,6 +8,7 @@ What people get wrong comes together, as where a file is of another board altoge
 of the markers (dictionary, border, negative, mirror image) is tried with every way to lay them out.
 """
 
+from collections import Counter, deque
 from collections.abc import Sequence
 from functools import cache
 from math import comb, log
@@ -41,12 +42,18 @@ _LEAST_SHARE = 0.6
 # each of the first ten, fewer where the time or `_MOST_READ` ends it: the others come later. Then
 # two in every fifth, since most cameras see no board most of the time.
 _AT_ONCE, _FIRST, _A_PICTURE, _EVERY = 3, 10, 2, 5
+# Where so many quadrilaterals came in since one of the last `_LATELY` pictures, a board may have:
+# a tenth of the boards again in each of so many pictures, and another one for each `_LATELY`.
+_CAME_IN, _LATELY, _MOST_EAGER = 6, 50, 30
 # So many readings of quadrilaterals a picture gets, then the next one goes on: all boards together
 # ask for 2000 to 4000 in most real pictures, for 15,000 in the busiest.
 _MOST_READ = 10_000
-# So often a board is contradicted that is none of the others, before that is said; all others must
-# have been looked for.
-_OFTEN = 3
+# So often a board is contradicted that is none of the others, and in so large a part of the
+# pictures in which it is seen, before that is said; all others must have been looked for. A board
+# that is as the file has it is contradicted by accident, now and then for as long as it is seen.
+_OFTEN, _OFTEN_SHARE = 3, 0.1
+# Quadrilaterals whose middles are as near are one, of the side.
+_SAME = 0.25
 # Boards have the first of a dictionary's markers, hardly more of them.
 _MOST_IDS = 250
 
@@ -60,12 +67,13 @@ class MisdescribedBoards:
         self._waiting, self._faces = list(readings(looks)), faces
         self._firsts = sorted({face.first_marker for face in faces})
         self._ids = max([_MOST_IDS, *(face.first_marker + face.marker_count for face in faces)])
-        # Another board than the file's may have squares between its tags.
-        self._finder = QuadFinder(parts_touching=True)
+        self._finders = QuadFinder(), QuadFinder(parts_touching=True)
         self._pictures, self._untried = 0, len(self._waiting)
+        self._quads: deque[int] = deque(maxlen=_LATELY)
+        self._eager = _MOST_EAGER
         self._named: dict[Appearance, Other | OtherSize] = {}
-        self._confirmed = set[Appearance]()
-        self._denials: dict[Appearance, int] = {}
+        self._confirmed: Counter[Appearance] = Counter()
+        self._denials: Counter[Appearance] = Counter()
         self._vague: dict[Appearance, str] = {}
         self.refused: set[Appearance] = set()
 
@@ -78,15 +86,24 @@ class MisdescribedBoards:
             said.setdefault(shown.face.appearance, shown)
         return self._vague | {shown.look: shown.remedy for shown in said.values()}
 
-    def look(self, grey: np.ndarray, denied: set[Appearance], is_over: IsOver = never) -> None:
+    def look(
+        self,
+        grey: np.ndarray,
+        denied: set[Appearance],
+        is_over: IsOver = never,
+        *,
+        quads: int = 0,
+    ) -> None:
         """Look for other boards in a picture in which none was found, or which contradicts those
-        that are `denied`; what there is no time for is looked for in the next one."""
+        that are `denied`; what there is no time for is looked for in the next one. `quads`: how
+        many dark quadrilaterals are in it."""
         self._pictures += 1
         count = len(self._waiting)
         if not denied and (self._pictures > _AT_ONCE or is_over is not never):
-            count = self._share(count)
+            count = self._share(count, quads)
+        self._quads.append(quads)
         tried: list[Reading] = []
-        scene = _Scene(grey, self._finder, self._ids, is_over)
+        scene = _Scene(grey, self._finders, self._ids, is_over)
         for one in self._waiting[:count]:
             if is_over() or scene.read_so_far > _MOST_READ:
                 break
@@ -114,21 +131,29 @@ class MisdescribedBoards:
 
     def confirm(self, look: Appearance) -> None:
         """A board that was found as the file has it is of no other size: that one was another's."""
-        self._confirmed.add(look)
+        self._confirmed[look] += 1
         if isinstance(self._named.get(look), OtherSize):
             del self._named[look]
 
-    def _share(self, count: int) -> int:
-        """How many of so many boards are looked for in this picture."""
-        if self._pictures <= _FIRST:
+    def _share(self, count: int, quads: int) -> int:
+        """How many of so many boards are looked for in this picture of so many quadrilaterals."""
+        if self._pictures % _LATELY == 0:
+            self._eager = min(self._eager + 1, _MOST_EAGER)
+        came_in = quads - min(self._quads, default=quads) >= _CAME_IN
+        is_first = self._pictures <= _FIRST
+        if is_first or (came_in and self._eager):
+            self._eager -= not is_first
             return min(count, max(_A_PICTURE, -(-count // _FIRST)))
         return 0 if self._pictures % _EVERY else min(count, _A_PICTURE)
 
     def _deny(self, look: Appearance) -> None:
-        self._denials[look] = self._denials.get(look, 0) + 1
+        self._denials[look] += 1
+        seen = self._denials[look] + self._confirmed[look]
+        is_often = self._denials[look] >= max(_OFTEN, _OFTEN_SHARE * seen)
         if isinstance(self._named.get(look), Other):
             self.refused.add(look)
-        elif look not in self._named and self._denials[look] >= _OFTEN and self._untried <= 0:
+        elif look not in self._named and is_often and self._untried <= 0:
+            self.refused.add(look)
             self._vague[look] = (
                 f"{look.words}: its markers are seen in other places than the target file has, so "
                 "it is not used; compare columns, rows, first_marker and numbering with the print"
@@ -167,9 +192,11 @@ class _Shown:
 class _Scene:
     """One picture in every way in which boards are looked for in it."""
 
-    def __init__(self, grey: np.ndarray, finder: QuadFinder, ids: int, is_over: IsOver) -> None:
+    def __init__(
+        self, grey: np.ndarray, finders: Sequence[QuadFinder], ids: int, is_over: IsOver
+    ) -> None:
         """`ids`: so many markers of each dictionary are read, from its first on."""
-        self._grey, self._finder, self._ids = grey, finder, ids
+        self._grey, self._finders, self._ids = grey, finders, ids
         self.is_over = is_over
         self._known: dict[tuple[bool, bool], _Shown] = {}
         self._votes = 0
@@ -216,8 +243,21 @@ class _Scene:
         if key not in self._known:
             grey = cv2.bitwise_not(self._grey) if inverted else self._grey
             grey = cv2.flip(grey, 1) if is_mirrored else grey
-            self._known[key] = _Shown(grey, self._finder.find(grey), self._ids)
+            self._known[key] = _Shown(grey, _quads(grey, self._finders), self._ids)
         return self._known[key]
+
+
+def _quads(grey: np.ndarray, finders: Sequence[QuadFinder]) -> Array:
+    """The dark quadrilaterals (n, 4, 2) that any of the finders sees, each once: a board may have
+    squares that touch its tags, and who looks for such loses small markers beside other squares."""
+    quads = finders[0].find(grey)
+    for finder in finders[1:]:
+        more = finder.find(grey)
+        sides = np.linalg.norm(more[:, 1] - more[:, 0], axis=-1)
+        apart = np.abs(more.mean(axis=1)[:, None] - quads.mean(axis=1)[None]).max(axis=-1)
+        is_new = np.all(apart > _SAME * sides[:, None], axis=1)
+        quads = np.concatenate([quads, more[is_new]])
+    return quads
 
 
 def _agreeing(face: Face, shown: _Shown) -> int:

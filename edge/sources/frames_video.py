@@ -71,7 +71,8 @@ class Video:
     def __init__(self, file: Path) -> None:
         """Raises InputError for a missing file or one that is no video."""
         if not file.is_file():
-            raise InputError(f"{file}: there is no such video; check the path")
+            what = "is no file, so no video" if file.exists() else "there is no such video"
+            raise InputError(f"{file}: {what}; check the path")
         set_level(None)
         try:
             self._container = av.open(str(file), metadata_errors="ignore")

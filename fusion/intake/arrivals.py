@@ -25,6 +25,10 @@ _NEVER_SET_NS = to_ns(1e8)
 _LONGEST_PERIOD_S = 100.0
 
 
+# Time zones are quarters of hours apart, at most 14 hours from UTC.
+_ZONE_S, _MOST_ZONES, _BEGIN_S = 900.0, 56, 30.0
+
+
 class Span(Struct, frozen=True):
     """From the first stamp to the last of `count` messages."""
 
@@ -63,7 +67,8 @@ class Span(Struct, frozen=True):
 class Arrivals:
     """All messages of the site's cameras and robots. `tracks`: the robots' odometry; `seen`:
     camera -> when it saw a target; `unreadable`: camera -> what is wrong with all that it sent;
-    `misdescribed`: camera -> what its pictures show in place of the target file's boards."""
+    `misdescribed`: camera -> what its pictures show in place of the target file's boards;
+    `unused`: camera -> why pictures of it were left out, as the pipeline says."""
 
     def __init__(self, site: Site, tracks: Mapping[str, OdometryTrack]) -> None:
         self._tracks = tracks
@@ -75,6 +80,7 @@ class Arrivals:
         self.seen: dict[str, Span] = {}
         self.unreadable: dict[str, str] = {}
         self.misdescribed: dict[str, str] = {}
+        self.unused: dict[str, str] = {}
 
     def add(self, node: str, message: Message) -> None:
         """Note a message of a camera or robot."""
@@ -123,7 +129,7 @@ class Arrivals:
         reasons = {
             name: f"{_saw(seen)}, none of which could be used" for name, seen in self.seen.items()
         }
-        reasons |= self.apart | self.misdescribed
+        reasons |= self.unused | self.apart | self.misdescribed
         reasons |= {
             name: f"nothing of it could be read: {words}" for name, words in self.unreadable.items()
         }
@@ -136,6 +142,15 @@ class Arrivals:
 
 def _saw(seen: Span) -> str:
     return f"it saw a target in {counted(seen.count, 'picture')}"
+
+
+def _zones_apart(one: Span, other: Span) -> float:
+    """By how many hours two begin apart, where that is by time zones; else 0. What is recorded at
+    once begins within half a minute."""
+    quarters = to_seconds(one.first_ns - other.first_ns) / _ZONE_S
+    whole = round(abs(quarters))
+    is_by_zones = abs(abs(quarters) - whole) * _ZONE_S < _BEGIN_S and whole <= _MOST_ZONES
+    return whole * _ZONE_S / 3600 if is_by_zones else 0.0
 
 
 def _words(seen: Span, robot: str, odometry: Span) -> str:
@@ -155,6 +170,11 @@ def _words(seen: Span, robot: str, odometry: Span) -> str:
         why = (
             f"by their stamps these pictures are {seen.period_s:.3g} s apart; are the seconds in "
             "them milli- or nanoseconds?"
+        )
+    elif zones := _zones_apart(seen, odometry):
+        why = (
+            f"they begin {zones:g} h apart, as where one is stamped in local time; stamp both in "
+            "UTC, or synchronise the clocks (chrony)"
         )
     else:
         why = (

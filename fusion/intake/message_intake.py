@@ -180,6 +180,10 @@ class Intake:
         if not shared.untold and self.left_out.last_problem == shared.problem:
             self.left_out.last_problem = ""
 
+    def robots_in(self, message: Sightings) -> set[str]:
+        """The robots that a picture may show."""
+        return {robot for face in message.faces for robot in self._robots_of(face)}
+
     def _robots_of(self, face: FaceSighting) -> list[str]:
         if not face.target:
             return list(self._targets)

@@ -2,10 +2,12 @@
 (`--compression-mode`), or in SQLite."""
 
 import atexit
+import logging
 import shutil
 import tempfile
 from functools import cache
 from pathlib import Path
+from typing import IO
 
 import zstandard
 
@@ -13,6 +15,9 @@ from trigpoint.base.errors import RecordingError
 from trigpoint.base.terminal import waiting
 
 _PACKED = (".zstd", ".zst")
+_PIECE = 1 << 20  # bytes that are unpacked at once
+
+_LOG = logging.getLogger(__name__)
 
 
 @cache
@@ -42,10 +47,26 @@ def unpacked(path: Path) -> Path:
     file = folder / path.stem
     try:
         with path.open("rb") as source, file.open("wb") as to, waiting(f"{path}: unpacked"):
-            zstandard.ZstdDecompressor().copy_stream(source, to)
+            is_whole = _unpack(source, to)
     except OSError as reason:
         text = f"{path}: cannot be unpacked to {folder} ({reason.strerror}); make room there"
         raise RecordingError(text) from None
     except zstandard.ZstdError as reason:
         raise RecordingError(f"{path}: cannot be unpacked ({reason}); copy it again") from None
+    if not is_whole:
+        if file.stat().st_size == 0:
+            raise RecordingError(f"{path}: the packed file breaks off at once; copy it again")
+        _LOG.warning("%s: the packed file breaks off, its end is missing; copy it again", path)
     return unpacked(file)
+
+
+def _unpack(source: IO[bytes], to: IO[bytes]) -> bool:
+    """Unpack all frames of a zstd file; whether it has its end. Raises ZstdError."""
+    rest = b""
+    frame = zstandard.ZstdDecompressor().decompressobj()
+    while piece := rest or source.read(_PIECE):
+        if frame.eof:
+            frame = zstandard.ZstdDecompressor().decompressobj()
+        to.write(frame.decompress(piece))
+        rest = frame.unused_data if frame.eof else b""
+    return frame.eof

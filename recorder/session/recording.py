@@ -243,8 +243,14 @@ def open_recording(path: Path) -> Recording:
     recording = Recording([read_index(file) for file in session_files(path)])
     file, problem = recording.path, recording.problem
     if not recording.counts:
-        why = f"{problem} before its first message was complete" if problem else "has no messages"
-        raise RecordingError(f"{file}: the session is empty ({why}); record while the site runs")
+        if problem:
+            why, remedy = (
+                f"{problem} before its first message was complete",
+                "copy or record it anew",
+            )
+        else:
+            why, remedy = "has no messages", "record while the site runs"
+        raise RecordingError(f"{file}: the session is empty ({why}); {remedy}")
     if problem:
         total = sum(recording.counts.values())
         _LOG.warning(

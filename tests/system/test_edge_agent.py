@@ -11,6 +11,7 @@ from pathlib import Path
 import cv2
 import pytest
 from support.builders import REAL_DATA, eventually
+from support.commands import Cli
 from support.pictures.boards import charuco, picture_of, placed, plain_picture, worst_error
 
 from trigpoint.bus.bus import Subscription
@@ -143,54 +144,24 @@ def test_snapshot_is_answered_and_sigint_ends_orderly(tmp_path: Path, free_port)
 
 
 @pytest.mark.parametrize(
-    ("camera", "words", "said"),
+    ("camera", "name", "said"),
     [
-        ('source = "file://none.mp4"', ["--camera", "c1"], "none.mp4: there is no such video"),
-        ('source = "dir://none"', ["--camera", "c1"], "none: there is no such folder"),
-        ('source = "ftp://x"', ["--camera", "c1"], "«ftp://» are not known"),
-        ('source = "dir://x"', ["--camera", "c9"], "there is no camera «c9»"),
+        ('source = "file://none.mp4"', "c1", "none.mp4: there is no such video"),
+        ('source = "dir://none"', "c1", "none: there is no such folder"),
+        ('source = "ftp://x"', "c1", "«ftp://» are not known"),
+        ('source = "dir://x"', "c9", "there is no camera «c9»"),
         (
             'source = "dir://x"\nintrinsics = "no.yaml"',
-            ["--camera", "c1"],
-            "no.yaml: there is no such camera_info file",
+            "c1",
+            "no.yaml: there is no such camera_info",
         ),
     ],
 )
 def test_bad_input_ends_with_one_line_and_status_2(
-    tmp_path: Path, free_port, camera: str, words: list[str], said: str
+    tmp_path: Path, free_port, cli: Cli, camera: str, name: str, said: str
 ) -> None:
     write_site(tmp_path, free_port(), camera)
     site = tmp_path / "site.toml"
     # Nobody is waited for, nor met: other tests have agents of this name on this machine's bus.
     site.write_text(re.sub("connect = .*", 'listen = ["tcp/127.0.0.1:0"]', site.read_text()))
-    with agent(tmp_path, *words) as process:
-        _, error = process.communicate(timeout=60)
-        assert process.returncode == 2
-    assert said in error.splitlines()[-1]
-    assert "Traceback" not in error
-
-
-def test_camera_whose_source_ends_is_gone_while_the_agents_other_goes_on(
-    tmp_path: Path, free_port
-) -> None:
-    for name in ("c1", "c2"):
-        (tmp_path / name).mkdir()
-        for number in range(8):
-            cv2.imwrite(str(tmp_path / name / f"{number}.png"), plain_picture())
-    more = f'[cameras.c2]\nsource = "dir://{tmp_path}/c2?loop=1"'
-    site = write_site(
-        tmp_path, free_port(), f'source = "dir://{tmp_path}/c1"\nrate = 2.0', more=more
-    )
-    with open_bus(site) as bus, agent(tmp_path, "--camera", "c1", "--camera", "c2") as process:
-        seen = set[str]()
-
-        def alive() -> list[str]:
-            found = bus.alive(alive_key("lab", "edge", "*"))
-            seen.update(found)
-            return found
-
-        first, second = alive_key("lab", "edge", "c1"), alive_key("lab", "edge", "c2")
-        assert eventually(lambda: first not in alive() and seen == {first, second}, 30.0)
-        assert alive() == [second]
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(10.0) == 0
+    assert said in cli("edge", "--site", site, "--camera", name, status=2).err.splitlines()[-1]

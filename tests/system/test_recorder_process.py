@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 from support.builders import TARGET_TEXT, eventually, make_odometry, make_site, site_text
+from support.commands import Cli
 
-from trigpoint import cli
 from trigpoint.bus.bus import Bus
 from trigpoint.contract import cdr
 from trigpoint.contract.topics import DIAGNOSTICS, ODOMETRY
@@ -98,7 +98,7 @@ def odometry_stamps(path: Path) -> list[int]:
     return stamps
 
 
-def test_a_killed_recorder_loses_at_most_a_second(
+def test_a_killed_recorder_loses_at_most_a_second_and_another_goes_on_in_a_file_of_its_own(
     desk: Desk, caplog: pytest.LogCaptureFixture
 ) -> None:
     process = desk.start_recorder()
@@ -108,49 +108,33 @@ def test_a_killed_recorder_loses_at_most_a_second(
         killed_ns = time.time_ns()
         process.wait(60)
         before = [stamp for stamp in sent if stamp <= killed_ns]
+        again = desk.start_recorder()
+        count = len(sent)
+        assert eventually(lambda: len(sent) > count + 50)
+    again.send_signal(signal.SIGTERM)
+    assert again.wait(60) == 0
     with caplog.at_level(logging.WARNING):
-        recorded = odometry_stamps(desk.folder / "out")
+        recorded = odometry_stamps(desk.folder / "out" / "session.mcap")
     assert recorded == before[: len(recorded)] or recorded == before[-len(recorded) :]
     lost = [stamp for stamp in before if stamp > recorded[-1]]
     assert len(lost) <= 1.0 / PERIOD_S
     assert "not whole" in caplog.text
-
-
-def test_a_recorder_that_is_started_again_goes_on_in_a_file_of_its_own(desk: Desk) -> None:
-    process = desk.start_recorder()
-    with driving(desk.bus) as sent:
-        assert eventually(lambda: len(sent) > 120)
-        process.send_signal(signal.SIGKILL)
-        process.wait(60)
-        again = desk.start_recorder()
-        count = len(sent)
-        assert eventually(lambda: len(sent) > count + 50)
-    again.send_signal(signal.SIGINT)
-    assert again.wait(60) == 0
-    first, second = desk.folder / "out" / "session.mcap", desk.folder / "out" / "session_2.mcap"
-    assert odometry_stamps(first)
+    second = desk.folder / "out" / "session_2.mcap"
     assert odometry_stamps(second)[-1] == sent[-1]
     assert open_recording(second).problem == ""
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_recorder_that_is_stopped_has_everything(desk: Desk, number: signal.Signals) -> None:
-    process = desk.start_recorder()
-    with driving(desk.bus) as sent:
-        assert eventually(lambda: len(sent) > 100)
-    process.send_signal(number)
-    said, _ = process.communicate(timeout=60)
-    assert process.returncode == 0
-    assert odometry_stamps(desk.folder / "out") == sent
-    assert f"{len(sent)}  {KEY}" in said
-
-
-def test_a_replayed_session_is_recorded_again_byte_for_byte(desk: Desk, tmp_path: Path) -> None:
+def test_a_recorder_that_is_stopped_has_everything_which_replayed_is_recorded_again(
+    desk: Desk, tmp_path: Path
+) -> None:
     recorder = desk.start_recorder()
     with driving(desk.bus) as sent:
         assert eventually(lambda: len(sent) > 100)
     recorder.send_signal(signal.SIGINT)
-    recorder.communicate(timeout=60)
+    said, _ = recorder.communicate(timeout=60)
+    assert recorder.returncode == 0
+    assert odometry_stamps(desk.folder / "out") == sent
+    assert f"{len(sent)}  {KEY}" in said
     first = tmp_path / "first.mcap"
     (desk.folder / "out" / "session.mcap").rename(first)
     recorder = desk.start_recorder()
@@ -158,7 +142,7 @@ def test_a_replayed_session_is_recorded_again_byte_for_byte(desk: Desk, tmp_path
     said, _ = player.communicate(timeout=60)
     assert player.returncode == 0
     assert f"{len(sent)}  {KEY}" in said
-    recorder.send_signal(signal.SIGINT)
+    recorder.send_signal(signal.SIGTERM)
     recorder.communicate(timeout=60)
     again = open_recording(desk.folder / "out")
     topics = [ODOMETRY]
@@ -178,26 +162,14 @@ def test_a_view_ends_in_order(desk: Desk) -> None:
         assert process.wait(60) == 0
 
 
-def test_a_wrong_session_ends_with_one_line_and_status_2(desk: Desk) -> None:
-    (desk.folder / "foreign.mcap").write_text("this is no recording")
-    command = [sys.executable, "-m", "trigpoint", "replay", "foreign.mcap"]
-    ended = subprocess.run(
-        command, cwd=desk.folder, capture_output=True, text=True, timeout=60, check=False
-    )
-    assert ended.returncode == 2
-    [line] = ended.stderr.splitlines()
-    assert "foreign.mcap" in line
-
-
-@pytest.mark.parametrize("name", ["foreign.mcap", "nothing.mcap"])
-def test_a_wrong_session_to_review_is_said_in_one_line(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    name: str,
+@pytest.mark.parametrize(
+    "words",
+    [("replay", "foreign.mcap"), *(("review", f"{n}.mcap") for n in ("foreign", "nothing"))],
+)
+def test_a_wrong_session_is_said_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Cli, words: tuple[str, str]
 ) -> None:
     (tmp_path / "foreign.mcap").write_text("this is no recording")
     monkeypatch.chdir(tmp_path)
-    assert cli.run(["review", name, "--save", "x.rrd"]) == 2
-    [line] = capsys.readouterr().err.splitlines()
-    assert name in line
+    [line] = cli.refused(*words).splitlines()
+    assert words[1] in line

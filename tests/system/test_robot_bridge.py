@@ -10,6 +10,7 @@ from contextlib import suppress
 
 import numpy as np
 from support.builders import eventually
+from support.commands import Cli
 from support.site.robot_desk import MAP, PERIOD_NS, SITE, Desk, desk
 
 from trigpoint.contract.cdr import encode
@@ -22,8 +23,8 @@ from trigpoint.tools.simulation.world import load_world
 __all__ = ["desk"]  # the fixture
 
 
-def command(desk: Desk, *more: str) -> subprocess.CompletedProcess[str]:
-    words = ["robot", "--site", str(desk.folder / "site.toml"), "--robot", "r1", *more]
+def dry_run(desk: Desk) -> subprocess.CompletedProcess[str]:
+    words = ["robot", "--site", str(desk.folder / "site.toml"), "--robot", "r1", "--dry-run"]
     return subprocess.run(
         [sys.executable, "-m", "trigpoint", *words],
         capture_output=True, text=True, timeout=60, check=False,
@@ -149,7 +150,7 @@ def test_garbage_on_the_bus_is_rejected_and_its_sender_named(desk: Desk) -> None
 
 def test_dry_run_says_what_comes_and_ends_well(desk: Desk) -> None:
     desk.start_firmware()
-    done = command(desk, "--dry-run")
+    done = dry_run(desk)
     assert done.returncode == 0, done.stderr
     assert "robot «r1», firmware «trigpoint simulated firmware»" in done.stdout
     assert done.stdout.count("odometry messages in this second") >= 3
@@ -158,22 +159,19 @@ def test_dry_run_says_what_comes_and_ends_well(desk: Desk) -> None:
 
 def test_dry_run_names_a_wrong_version(desk: Desk) -> None:
     desk.start_firmware("--version", "2")
-    done = command(desk, "--dry-run")
+    done = dry_run(desk)
     assert done.returncode == 1
     [line] = done.stderr.splitlines()
     assert "version 2 of the serial protocol, this bridge version 1; update this bridge" in line
 
 
-def test_port_that_does_not_exist_is_one_clear_line(desk: Desk) -> None:
-    done = command(desk, "--dry-run")
-    assert done.returncode == 1
-    [line] = done.stderr.splitlines()
+def test_port_that_does_not_exist_is_one_clear_line(desk: Desk, cli: Cli) -> None:
+    said = cli("robot", "--site", desk.folder / "site.toml", "--robot", "r1", "--dry-run", status=1)
+    [line] = said.err.splitlines()
     assert f"Port {desk.port} does not exist; this machine has " in line
 
 
-def test_unknown_protocol_is_one_clear_line_that_lists_what_there_is(desk: Desk) -> None:
+def test_unknown_protocol_is_one_clear_line_that_lists_what_there_is(desk: Desk, cli: Cli) -> None:
     (desk.folder / "site.toml").write_text(SITE + 'protocol = "mavlnik"\n')
-    done = command(desk)
-    assert done.returncode == 2
-    [line] = done.stderr.splitlines()
+    line = cli.refused("robot", "--site", desk.folder / "site.toml", "--robot", "r1")
     assert "no robot protocol «mavlnik»; site.toml may name " in line

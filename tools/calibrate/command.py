@@ -1,6 +1,7 @@
 """The command `calibrate`: the estimator over a recorded session."""
 
 import math
+import textwrap
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
@@ -16,11 +17,13 @@ from trigpoint.fusion.pipeline import Pipeline
 from trigpoint.map.building import attached_plan, load_plan
 from trigpoint.map.network import ON_ONE_SIGHTING, CameraRecord, encode_network
 from trigpoint.tools.networks.building_alignment import Alignment, align, alignment_text
-from trigpoint.tools.networks.noise_words import noise_text
+from trigpoint.tools.networks.noise_words import noise_words
 from trigpoint.tools.networks.truth import NetworkError, load_truth, network_error
 
 from .report import REPORT, write_report
 from .work import Task, fed, task_of
+
+_WIDTH = 100
 
 
 def main(
@@ -158,10 +161,9 @@ def _print(results: Results, error: NetworkError | None) -> None:
                 typer.echo(f"{name} is unseen: {reason}")
         if camera.status == "located" and not camera.confirmed:
             typer.echo(f"{name} {ON_ONE_SIGHTING}")
-    if results.network.statistics.chi2_per_dof is not None:
-        typer.echo(noise_text(results.network.statistics.chi2_per_dof))
-    for line in results.noise:
-        typer.echo(f"  noise of {line}")
+    if (chi2 := results.network.statistics.chi2_per_dof) is not None:
+        words = f"{chi2:.3f}: {noise_words(chi2, results.noise)}"
+        typer.echo(textwrap.fill(words, _WIDTH, subsequent_indent="  ", break_on_hyphens=False))
     if error and error.distance is not None:
         typer.echo(f"mean error of the distances between cameras: {100 * error.distance:.2f} cm")
         typer.echo(f"errors against the joint covariance, per degree of freedom: {error.nees:.2f}")

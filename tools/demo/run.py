@@ -1,4 +1,4 @@
-"""A run from its first process to its last."""
+"""A run from its first process to its last: one a part of the system, as a user would start it."""
 
 import os
 import sys
@@ -13,15 +13,25 @@ from msgspec import Struct
 from trigpoint.base.clock import NANOSECONDS, to_ns
 from trigpoint.base.errors import OperationError
 from trigpoint.bus.bus import Bus
+from trigpoint.contract.topics import alive_key
 from trigpoint.site.config import BusConfig, FusionConfig, RecorderConfig, Site
 from trigpoint.tools.parts.output import LogFile
-from trigpoint.tools.parts.specs import AGENTS, BRIDGES, FIRMWARE, FUSION, RECORDER
-from trigpoint.tools.parts.supervisor import Supervisor
+from trigpoint.tools.parts.specs import (
+    AGENTS,
+    BRIDGES,
+    FIRMWARE,
+    FUSION,
+    PAGE,
+    RECORDER,
+    firmware,
+    nodes,
+    trigpoint,
+)
+from trigpoint.tools.parts.supervisor import PartSpec, Supervisor
 from trigpoint.tools.simulation.world import World
 from trigpoint.zenoh import open_bus
 
 from .folder import DemoFolder, DemoRecord
-from .parts import parts_of, tokens_of, viewer_of
 from .progress import Progress, status_line
 from .watch import Watch
 
@@ -32,6 +42,7 @@ _LOOK_S = 0.1
 _SETTLE_S = 3.0
 _FLIGHT_S = 0.3
 _MEETING_POINT = "tcp/127.0.0.1:0"
+_AGENT_PROCESSES = 2
 
 
 class NotUpInTimeError(OperationError):
@@ -189,3 +200,33 @@ def _meeting_site(name: str) -> Site:
         directory=Path(),
         text="",
     )
+
+
+def parts_of(world: World, folder: DemoFolder, record: DemoRecord) -> list[PartSpec]:
+    """All parts. The slow ones to start come first."""
+    here = DemoFolder(folder.path.resolve())
+    specs = nodes(
+        str(here.site),
+        cameras=list(world.cameras),
+        robots=list(world.robots),
+        agents=_AGENT_PROCESSES,
+        out=str(here.path),
+    )
+    for robot in world.robots:
+        world_of = {"world": record.world, "seed": record.seed, "target": record.target}
+        said = {"log": here.journal(robot), "protocol": record.protocol, **world_of}
+        specs.append(firmware(robot, epoch_ns=record.epoch_ns, link=here.port(robot), **said))
+    return specs
+
+
+def viewer_of(folder: DemoFolder) -> PartSpec:
+    """The live view in a window; it goes when the user closes it."""
+    site = str(folder.site.resolve())
+    return PartSpec("viewer", trigpoint("view", "--site", site), PAGE, needed=False)
+
+
+def tokens_of(world: World) -> set[str]:
+    alive = [("recorder", "main"), ("fusion", "fusion")]
+    alive += [("edge", camera) for camera in world.cameras]
+    alive += [("robot", robot) for robot in world.robots]
+    return {alive_key(world.site_name, kind, name) for kind, name in alive}

@@ -1,13 +1,14 @@
 """What the demo itself hears on the bus: who is up, how far the network is, who counted what."""
 
 from collections.abc import Collection
+from contextlib import suppress
 
 import numpy as np
 
 from trigpoint.base.errors import MessageError
 from trigpoint.bus.bus import Bus, Subscription
 from trigpoint.contract.cdr import decode
-from trigpoint.contract.messages import Diagnostics, DiagnosticStatus, Message, PoseEstimate
+from trigpoint.contract.messages import DiagnosticStatus, PoseEstimate
 from trigpoint.contract.topics import (
     CAMERA_POSE,
     DIAGNOSTICS,
@@ -18,6 +19,7 @@ from trigpoint.contract.topics import (
     node_of,
     topic_of,
 )
+from trigpoint.tools.site.status import statuses_in
 
 _TOTAL = ".total"
 _LOST = ".lost"
@@ -55,10 +57,8 @@ class Watch:
 
     def _read_diagnostics(self, subscription: Subscription) -> None:
         while (sample := subscription.take(0.0)) is not None:
-            message = _decoded(DIAGNOSTICS, sample.payload)
-            if isinstance(message, Diagnostics):
-                for status in message.statuses:
-                    self._statuses[status.name, status.values.get("node", "")] = status
+            for status in statuses_in(sample):
+                self._statuses[status.name, status.values.get("node", "")] = status
 
     def _read_poses(self, topic: Topic, subscription: Subscription) -> None:
         """Only the newest of each camera or robot is decoded."""
@@ -67,8 +67,9 @@ class Watch:
             newest[node_of(sample.key)] = sample.payload
         known = self.cameras if topic is CAMERA_POSE else self.robots
         for name, payload in newest.items():
-            message = _decoded(topic, payload)
-            if isinstance(message, PoseEstimate):
+            with suppress(MessageError):  # which the nodes themselves report
+                message = decode(topic.type_name, payload)
+                assert isinstance(message, PoseEstimate)
                 known[name] = float(np.sqrt(np.trace(message.covariance[:3, :3])))
 
     def counts(self) -> dict[str, dict[str, int]]:
@@ -119,11 +120,3 @@ def totals(counts: dict[str, dict[str, int]], verb: str) -> dict[str, dict[str, 
 def _is_reliable(key: str) -> bool:
     topic = topic_of(key)
     return topic is not None and topic.delivery.is_reliable
-
-
-def _decoded(topic: Topic, payload: bytes) -> Message | None:
-    """A message; None for garbage, which the nodes themselves report."""
-    try:
-        return decode(topic.type_name, payload)
-    except MessageError:
-        return None

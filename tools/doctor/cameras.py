@@ -145,6 +145,8 @@ def check_boards(site: Site, camera: str) -> list[Check]:
     config = site.camera(camera)
     if config.scheme not in _STILL_SCHEMES or config.file is None:
         return []
+    if not site.path(config.file).exists():  # said of the camera
+        return []
     try:
         targets = [load_target(site.path(name)) for name in site.target_names]
         detector = detector_for(targets)

@@ -30,7 +30,7 @@ from trigpoint.tools.pictures.intrinsics import write_lens
 
 from .guidance import Guide
 from .seen import MOST_BEND, Seen, Watch
-from .shown import Shown, faces_of, facts_of, lens_of, wanted_of
+from .shown import Shown, faces_of, facts_of, lens_of
 from .taking import KnownLens, LensTaking
 
 _STILL_APART_NS = to_ns(1.0)
@@ -201,7 +201,7 @@ class Look:
             hints=self._hints(is_frozen=frame.is_frozen),
             advice=step.advice,
             next=step.name,
-            needs=wanted_of(self._guide.needs) if is_taken else [],
+            needs=self._guide.needs if is_taken else (),
             coverage=self._guide.coverage,
             views=len(views),
             is_working=taking.is_working,

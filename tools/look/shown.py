@@ -19,14 +19,6 @@ class Face(Struct, frozen=True):
     pixels: list[float]
 
 
-class Wanted(Struct, frozen=True):
-    """A need: `share`: how far it is met, up to 1."""
-
-    kind: str
-    name: str
-    share: float
-
-
 class Lens(Struct, frozen=True):
     """A lens that was worked out. `rows`: its numbers' names, and the numbers with their sigmas;
     `open`: what the views do not determine."""
@@ -51,7 +43,7 @@ class Shown(Struct, frozen=True):
     hints: list[str]
     advice: str
     next: str
-    needs: list[Wanted]
+    needs: tuple[Need, ...]
     coverage: list[int]
     views: int
     is_working: bool
@@ -89,10 +81,6 @@ def facts_of(seen: Sequence[Seen]) -> list[tuple[str, str]]:
     if first.speed_px >= 1:
         facts.append(("moves", f"{first.speed_px:.0f} px a second"))
     return facts
-
-
-def wanted_of(needs: Sequence[Need]) -> list[Wanted]:
-    return [Wanted(need.kind.value, need.name, round(min(need.share, 1.0), 2)) for need in needs]
 
 
 def lens_of(found: Calibration) -> Lens:

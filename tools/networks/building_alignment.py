@@ -34,30 +34,38 @@ def align(site: Site, plan: FloorPlan | None, results: Results, folder: Path) ->
     return Alignment(building)
 
 
-def alignment_text(building: Building) -> str:
-    """Text: where the map lies, and the error of each surveyed point."""
+RESIDUALS = ("point", "x cm", "y cm", "z cm", "chi²", "by chance", "")
+"""What a point is off, surveyed minus map; and how often one is as large where nothing is wrong."""
+
+
+def alignment_words(building: Building) -> str:
+    """Where the map lies, and how well that is known."""
     x, y, z = building.frame_from_map.translation
     turn = math.degrees(float(building.frame_from_map.heading))
-    lines = [f"the map in {building.frame}: ({x:.3f}, {y:.3f}, {z:.3f}) m, turned by {turn:.3f}°"]
+    words = f"the map in {building.frame}: ({x:.3f}, {y:.3f}, {z:.3f}) m, turned by {turn:.3f}°"
     if building.laying is None:
-        return f"{lines[0]}, as the site file says"
+        return f"{words}, as the site file says"
     sigmas = np.sqrt(np.diagonal(building.covariance))
-    lines[0] += (
-        f"; sigma {100 * float(np.linalg.norm(sigmas[:3])):.2f} cm, {math.degrees(sigmas[5]):.3f}°"
-    )
-    residuals = building.laying.residuals
-    rows = [
-        (
-            one.name,
-            f"{100 * one.distance_m:.2f}",
-            f"{one.chi2:.1f}",
-            f"{one.probability:.2g}",
-            "contradicts the others; left out" if one.is_outlier else "",
-        )
-        for one in residuals
-    ]
-    rows += [(name, "", "", "", "is not located; left out") for name in building.missing]
-    colours = ["red" if one.is_outlier else "" for one in residuals]
+    place_cm = 100 * float(np.linalg.norm(sigmas[:3]))
+    return f"{words}; sigma {place_cm:.2f} cm, {math.degrees(sigmas[5]):.3f}°"
+
+
+def residual_rows(building: Building) -> list[tuple[str, ...]]:
+    """Each surveyed point's row by `RESIDUALS`, those that are not located last."""
+    rows = []
+    for one in building.laying.residuals if building.laying is not None else ():
+        offsets = [f"{100 * value:.2f}" for value in one.offset_m]
+        said = "contradicts the others; left out" if one.is_outlier else ""
+        cells = *offsets, *[""] * (3 - len(offsets)), f"{one.chi2:.1f}", f"{one.probability:.2g}"
+        rows.append((one.name, *cells, said))
+    return rows + [(name, *[""] * 5, "is not located; left out") for name in building.missing]
+
+
+def alignment_text(building: Building) -> str:
+    """For the terminal."""
+    if building.laying is None:
+        return alignment_words(building)
+    colours = ["red" if one.is_outlier else "" for one in building.laying.residuals]
     colours += ["yellow"] * len(building.missing)
-    head = ("point", "off cm", "chi²", "by chance", "")
-    return "\n".join([lines[0], table(head, rows, left=(0, 4), colours=colours)])
+    shown = table(RESIDUALS, residual_rows(building), left=(0, 6), colours=colours)
+    return f"{alignment_words(building)}\n{shown}"

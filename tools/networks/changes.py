@@ -5,10 +5,10 @@ cameras that stayed, which are those that agree with the most others. A camera's
 difference, against its uncertainty in both and that of the alignment, says whether it moved.
 """
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
+import msgspec
 import numpy as np
 from msgspec import Struct
 
@@ -28,7 +28,7 @@ _ROUNDS = 10
 _SETTLED = 1e-12  # metres and radians
 
 
-class Change(Struct, frozen=True):
+class Change(Struct, frozen=True, rename={"moved_m": "moved", "turned_rad": "turned"}):
     """One camera: how far it moved and turned, χ² with six degrees of freedom, and the probability
     of at least as much for a camera that stayed."""
 
@@ -103,18 +103,7 @@ def changes_table(found: Sequence[Change]) -> str:
 
 
 def changes_json(found: Sequence[Change]) -> str:
-    rows = [
-        {
-            "camera": one.camera,
-            "moved": one.moved_m,
-            "turned": one.turned_rad,
-            "chi2": one.chi2,
-            "probability": one.probability,
-            "has_moved": one.has_moved,
-        }
-        for one in found
-    ]
-    return json.dumps({"cameras": rows}, indent=1)
+    return msgspec.json.format(msgspec.json.encode({"cameras": found}), indent=1).decode()
 
 
 def check_file(path: Path) -> Path:

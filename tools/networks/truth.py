@@ -38,8 +38,9 @@ class CameraError(Struct, frozen=True):
 class NetworkError(Struct, frozen=True):
     """A network against the truth.
 
-    `distance`: mean absolute error of the distances between cameras, metres; `nees`: eᵀP⁻¹e over
-    all 6n errors and the joint covariance, per degree of freedom; None with fewer than two cameras.
+    `distance`: mean absolute error of the distances between cameras, metres, None with fewer than
+    two; `nees`: eᵀP⁻¹e over all 6n errors and the joint covariance, per degree of freedom, None
+    with none.
     Each error is the left twist ξ with estimate = exp(ξ) · truth, in the map's axes about its
     origin, and the contract's covariance is carried over to it: v = δt + t × δθ, ω = δθ, the same
     to first order about the estimate. The gauge is the contract's on both sides, the first
@@ -78,19 +79,20 @@ def network_error(network: Network, covariance: Array, truth: TruthFile) -> Netw
             float(np.linalg.norm(error[3:])),
             float(np.sqrt(error[:3] @ np.linalg.solve(position, error[:3]))),
         )
-    if len(names) < 2:
+    if not names:
         return NetworkError(cameras, None, None)
     rows = np.concatenate([np.arange(6) + 6 * network.located.index(name) for name in names])
     records = [network.cameras[name].map_from_camera for name in names]
-    nees = joint_error(
+    nees = _joint_error(
         [record.pose for record in records if record is not None],
         [truth.cameras[name].pose for name in names],
         covariance[np.ix_(rows, rows)],
     )
-    return NetworkError(cameras, _distance_error(network, truth, names), nees)
+    distance = _distance_error(network, truth, names) if len(names) > 1 else None
+    return NetworkError(cameras, distance, nees)
 
 
-def joint_error(estimated: list[Pose], true: list[Pose], covariance: Array) -> float:
+def _joint_error(estimated: list[Pose], true: list[Pose], covariance: Array) -> float:
     """eᵀP⁻¹e of the poses of n cameras in the map, per degree of freedom, by their joint covariance
     (6n, 6n). `NetworkError` says what the errors are."""
     pairs = zip(estimated, true, strict=True)

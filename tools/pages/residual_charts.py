@@ -1,5 +1,7 @@
 """A camera's residuals over its picture, and how large they are in sigmas."""
 
+from html import escape
+
 import numpy as np
 
 from trigpoint.base.words import counted
@@ -15,7 +17,18 @@ _COLUMNS, _ROWS = 16, 12
 _MOST_VECTORS, _MOST_WILD = 160, 80
 _LONGEST = 20.0  # of an ordinary residual, in the drawing
 _CROSS = 3.0 * np.array([[[-1, -1], [1, 1]], [[-1, 1], [1, -1]]])
+_FEWEST_IN_FIELD = 3
 _BARS, _REACH = 33, 4.125  # sigmas: the middle bar lies around 0
+
+
+def residual_figures(residuals: CameraResiduals, width: int, height: int, *, name: str) -> str:
+    """Both drawings of a camera, each with what it shows below; `width`, `height`: of its
+    picture."""
+    figures = _picture(residuals, width, height, name=name), _histogram(residuals, name=name)
+    shown = [
+        element("figure", drawn, element("figcaption", escape(words))) for drawn, words in figures
+    ]
+    return element("div", *shown, class_="pair")
 
 
 def covered_share(residuals: CameraResiduals, width: int, height: int) -> float:
@@ -23,9 +36,7 @@ def covered_share(residuals: CameraResiduals, width: int, height: int) -> float:
     return float(np.mean(_fields(residuals, width, height) > 0))
 
 
-def picture_drawing(
-    residuals: CameraResiduals, width: int, height: int, *, name: str
-) -> tuple[str, str]:
+def _picture(residuals: CameraResiduals, width: int, height: int, *, name: str) -> tuple[str, str]:
     """The picture with its residuals, and in words what is drawn."""
     scale = _WIDTH / width
     used = np.flatnonzero(residuals.used)
@@ -45,13 +56,14 @@ def picture_drawing(
         _shade(residuals, width, height, scale),
         lines(vectors, class_="residuals"),
         lines(np.stack([begins, begins], axis=1), class_="corners"),
+        lines(_means(residuals, width, height, factor) * scale, class_="means"),
         lines(wild[:, None, None] + _CROSS, class_="wild"),
         label=f"The picture of camera {name} with its residuals",
     )
     count = f"{len(shown)} of " if len(shown) < len(used) else ""
     words = (
         f"From where a corner was seen to where it is expected: {count}{len(used)} corners, "
-        f"{factor} times larger"
+        f"{factor} times larger. Bold: the means of fields, long where a model does not fit"
     )
     covered = covered_share(residuals, width, height)
     words += (
@@ -63,7 +75,7 @@ def picture_drawing(
     return picture, words
 
 
-def histogram_drawing(residuals: CameraResiduals, *, name: str) -> tuple[str, str]:
+def _histogram(residuals: CameraResiduals, *, name: str) -> tuple[str, str]:
     """How many coordinates are how many sigmas off, beside the normal distribution, and in words
     how wide that is."""
     values = residuals.in_sigmas.reshape(-1)
@@ -86,11 +98,28 @@ def histogram_drawing(residuals: CameraResiduals, *, name: str) -> tuple[str, st
     return chart, words
 
 
-def _fields(residuals: CameraResiduals, width: int, height: int) -> Array:
-    """How many used corners lie in each field of the picture, (columns, rows)."""
+def _fields(
+    residuals: CameraResiduals, width: int, height: int, weights: Array | None = None
+) -> Array:
+    """How many used corners lie in each field of the picture, or the sum of their `weights`,
+    (columns, rows)."""
     x, y = residuals.pixels[residuals.used].T
     span = ((-0.5, width - 0.5), (-0.5, height - 0.5))
-    return np.histogram2d(x, y, bins=(_COLUMNS, _ROWS), range=span)[0]
+    return np.histogram2d(x, y, bins=(_COLUMNS, _ROWS), range=span, weights=weights)[0]
+
+
+def _means(residuals: CameraResiduals, width: int, height: int, factor: float) -> Array:
+    """From the middles of the fields with corners enough by their mean residuals, so many times
+    larger, (n, 2, 2), pixels of the picture."""
+    counts = _fields(residuals, width, height)
+    sums = [
+        _fields(residuals, width, height, each) for each in residuals.residual_px[residuals.used].T
+    ]
+    has_enough = counts >= _FEWEST_IN_FIELD
+    size = np.array([width / _COLUMNS, height / _ROWS])
+    middles = (np.argwhere(has_enough) + 0.5) * size
+    means = np.stack([each[has_enough] / counts[has_enough] for each in sums], axis=-1)
+    return np.stack([middles, middles + factor * means], axis=1)
 
 
 def _shade(residuals: CameraResiduals, width: int, height: int, scale: float) -> str:

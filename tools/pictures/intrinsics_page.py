@@ -13,15 +13,10 @@ from trigpoint.edge.lens.calibration_text import (
     parameter_names,
     rounded,
 )
-from trigpoint.geometry.rotation import Array
+from trigpoint.fusion.estimators.residuals import CameraResiduals
 from trigpoint.tools.pages.frame import html_page, note, row, scrolling, section, table
-from trigpoint.tools.pages.svg import circle, drawing, element, line
-
-_SIDE = 400.0
-_FIELDS = 12
-_FEWEST_IN_FIELD = 3
-_ARROW_SHARE = 0.03
-_SCATTER_SIGMAS = 4.0
+from trigpoint.tools.pages.residual_charts import residual_figures
+from trigpoint.tools.pages.svg import camera_colour, element
 
 
 def intrinsics_page(found: Calibration, *, name: str, pictures: int) -> str:
@@ -31,8 +26,7 @@ def intrinsics_page(found: Calibration, *, name: str, pictures: int) -> str:
         f"Lens of {name}",
         _judgement(found),
         _numbers(found),
-        _coverage(found),
-        _residuals(found),
+        _residuals(found, name),
         _models(found),
         _views(found),
         headline=f"{name}: focal length {rounded(found.camera.fx, sigma)}{known} px",
@@ -79,24 +73,25 @@ def _numbers(found: Calibration) -> str:
     )
 
 
-def _coverage(found: Calibration) -> str:
-    words = "Where the target's corners were seen. Where none were, the lens is extrapolated."
-    return section("Coverage", note(words), _figure(_coverage_drawing(found)))
-
-
-def _residuals(found: Calibration) -> str:
+def _residuals(found: Calibration, name: str) -> str:
     words = (
-        "Measured minus predicted. A good lens leaves a round cloud and arrows without a pattern; "
-        "arrows that turn or point outwards together tell of a model that does not fit."
+        "Where no corners were seen, the lens is extrapolated. A good lens leaves lines without a "
+        "pattern; such as turn or point outwards together tell of a model that does not fit. A "
+        f"coordinate's sigma is {found.known.noise_px:.3f} px, by the residuals themselves."
     )
-    ring = f"Every corner; the circles are one and two sigmas ({found.known.noise_px:.3f} px)."
-    pair = element(
-        "div",
-        _figure(_scatter_drawing(found), ring),
-        _figure(_field_drawing(found), "Means over the picture, much enlarged."),
-        class_="pair",
+    pixels = np.concatenate([view.pixels for view in found.used])
+    errors = np.concatenate(found.fit.errors)
+    sigma_px = np.full(len(pixels), found.known.noise_px)
+    residuals = CameraResiduals(
+        np.zeros((0, 3)), pixels, -errors, sigma_px, np.ones(len(pixels), dtype=bool)
     )
-    return section("Residuals", note(words), pair)
+    size = found.camera.width, found.camera.height
+    drawn = residual_figures(residuals, *size, name=name)
+    return section(
+        "Coverage and residuals",
+        note(words),
+        element("div", drawn, class_=f"card {camera_colour(0)}"),
+    )
 
 
 def _models(found: Calibration) -> str:
@@ -128,62 +123,3 @@ def _views(found: Calibration) -> str:
     every = table(("view", "corners", "residual, px a corner", ""), shown)
     summary = element("summary", f"All {len(rows)}, the worst first")
     return section("Views", note(words), element("details", summary, scrolling(every)))
-
-
-def _figure(shown: str, caption: str = "") -> str:
-    below = element("figcaption", escape(caption)) if caption else ""
-    return element("figure", shown, below, class_="card")
-
-
-def _coverage_drawing(found: Calibration) -> str:
-    """Every corner in the picture's frame."""
-    scale = _SIDE / found.camera.width
-    return _framed(found, "where corners were seen", _dots((_pixels(found) + 0.5) * scale))
-
-
-def _scatter_drawing(found: Calibration) -> str:
-    """The cloud of residuals, with circles at one and two sigmas of a coordinate."""
-    middle, noise_px = _SIDE / 2, found.known.noise_px
-    scale = middle / (_SCATTER_SIGMAS * noise_px)
-    cloud = np.clip(_errors(found) * scale, -middle, middle) + middle
-    rings = (
-        circle(middle, middle, sigmas * noise_px * scale, class_="picture-frame")
-        for sigmas in (1, 2)
-    )
-    return drawing(_SIDE, _SIDE, _dots(cloud), *rings, label="residuals")
-
-
-def _field_drawing(found: Calibration) -> str:
-    """Mean residuals in square fields of the picture, as arrows from the fields' middles."""
-    side = found.camera.width / _FIELDS
-    fields = np.floor((_pixels(found) + 0.5) / side).astype(int)
-    errors = _errors(found)
-    scale = _SIDE / found.camera.width
-    enlarged = _ARROW_SHARE * _SIDE / found.known.noise_px
-    arrows = []
-    for field in np.unique(fields, axis=0):
-        own = np.all(fields == field, axis=1)
-        if own.sum() >= _FEWEST_IN_FIELD:
-            (x, y), (u, v) = (field + 0.5) * side * scale, errors[own].mean(axis=0) * enlarged
-            arrows += [circle(x, y, 1.8, class_="dot"), line(x, y, x + u, y + v, class_="arrow")]
-    return _framed(found, "mean residuals over the picture", *arrows)
-
-
-def _pixels(found: Calibration) -> Array:
-    return np.concatenate([view.pixels for view in found.used])
-
-
-def _errors(found: Calibration) -> Array:
-    return np.concatenate(found.fit.errors)
-
-
-def _framed(found: Calibration, label: str, *content: str) -> str:
-    height = _SIDE * found.camera.height / found.camera.width
-    frame = element("rect", width=_SIDE, height=height, class_="picture-frame")
-    return drawing(_SIDE, height, *content, frame, label=label)
-
-
-def _dots(points: Array) -> str:
-    """Many points as one path, (n, 2)."""
-    way = "".join(f"M{x:.1f} {y:.1f}h0" for x, y in points)
-    return element("path", d=way, class_="dots")

@@ -6,8 +6,8 @@ from trigpoint.base.clock import to_seconds
 from trigpoint.base.errors import MessageError
 from trigpoint.base.words import counted, numberless
 from trigpoint.contract import cdr, topics
+from trigpoint.contract.clock_doubt import DoubtFilter
 from trigpoint.contract.messages import Diagnostics, Message, Odometry, Sightings, stamped
-from trigpoint.contract.nudge import may_tell_of_nudges
 from trigpoint.recorder.session.recording import Recording
 
 _MOST_TIMES = 3
@@ -77,10 +77,10 @@ def _words(times: Sequence[int]) -> str:
 
 
 def messages_of(recording: Recording) -> SessionMessages:
-    found = SessionMessages()
+    found, doubts = SessionMessages(), DoubtFilter()
     for sample in recording.samples(_TOPICS):
         node = topics.node_of(sample.key)
-        if sample.topic is topics.DIAGNOSTICS and not may_tell_of_nudges(sample.payload):
+        if sample.topic is topics.DIAGNOSTICS and not doubts.wants(sample.payload):
             continue
         try:
             message = cdr.decode(sample.topic.type_name, sample.payload)

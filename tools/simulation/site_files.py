@@ -8,9 +8,11 @@ import msgspec
 import numpy as np
 
 from trigpoint.base.clock import to_ns
+from trigpoint.geometry import Pose
 from trigpoint.map.network import PoseRecord, encode_tum
 from trigpoint.site.camera_info import write_camera_info
 from trigpoint.site.config import BusConfig, OdometryNoise
+from trigpoint.site.target import Target
 from trigpoint.site.toml_file import said_of, toml_table
 from trigpoint.tools.shapes.text import target_text
 
@@ -48,7 +50,7 @@ def write_site(
     of cameras that the world lacks.
     """
     directory.mkdir(parents=True, exist_ok=True)
-    targets = _write_targets(world, directory)
+    targets = write_targets({name: world.target(name) for name in world.robots}, directory)
     lines = [f'site = "{name or world.site_name}"', ""]
     lines += _bus(bus) if bus is not None else []
     for eye, camera in world.cameras.items():
@@ -69,7 +71,7 @@ def write_site(
         )
         if protocol in WHEELS:
             lines += toml_table(f"robots.{carrier}.wheels", said_of(WHEELS[protocol]))
-        lines += toml_table(f"robots.{carrier}.odometry", _changed(robot.noise))
+        lines += toml_table(f"robots.{carrier}.odometry", noise_keys(robot.noise))
     lines += toml_table("recorder", {"directory": recordings, "pictures": pictures})
     path = directory / "site.toml"
     path.write_text("\n".join(lines), encoding="utf-8")
@@ -78,16 +80,25 @@ def write_site(
 
 def write_truth(world: World, directory: Path, *, epoch_ns: int) -> Path:
     """Write truth.json and each robot's true trajectory, one row an odometry message."""
-    directory.mkdir(parents=True, exist_ok=True)
-    trajectories = {}
+    ways = {}
     for robot in world.robots:
         stamps_s = world.odometry(robot).stamps_s
-        rows = encode_tum(stamps_ns(stamps_s, epoch_ns), world.map_from_base(robot, stamps_s))
-        trajectories[robot] = f"{robot}_truth.tum"
-        (directory / trajectories[robot]).write_bytes(rows)
-    cameras = {name: PoseRecord.of(c.map_from_camera) for name, c in world.cameras.items()}
+        ways[robot] = stamps_ns(stamps_s, epoch_ns), world.map_from_base(robot, stamps_s)
+    cameras = {name: camera.map_from_camera for name, camera in world.cameras.items()}
+    return write_truth_of(cameras, ways, directory)
+
+
+def write_truth_of(
+    cameras: Mapping[str, Pose], ways: Mapping[str, tuple[np.ndarray, Pose]], directory: Path
+) -> Path:
+    """The same of map_from_camera, and of each robot's stamps (n,), ns, and map_from_base (n)."""
+    directory.mkdir(parents=True, exist_ok=True)
+    trajectories = {robot: f"{robot}_truth.tum" for robot in ways}
+    for robot, way in ways.items():
+        (directory / trajectories[robot]).write_bytes(encode_tum(*way))
+    places = {name: PoseRecord.of(pose) for name, pose in cameras.items()}
     path = directory / "truth.json"
-    truth = msgspec.json.encode({"cameras": cameras, "robots": trajectories})
+    truth = msgspec.json.encode({"cameras": places, "robots": trajectories})
     path.write_bytes(msgspec.json.format(truth, indent=1) + b"\n")
     return path
 
@@ -102,18 +113,22 @@ def stamps_ns(stamps_s: np.ndarray, epoch_ns: int) -> np.ndarray:
     return np.array([epoch_ns + to_ns(float(t_s)) for t_s in stamps_s], dtype=np.int64)
 
 
-def _write_targets(world: World, directory: Path) -> dict[str, str]:
-    """Write one file where every robot carries the same target, else one a robot; their names."""
-    targets = {name: world.target(name) for name in world.robots}
-    alike = all(target == targets[world.first_robot] for target in targets.values())
-    names = {robot: "target.toml" if alike else f"{robot}_target.toml" for robot in targets}
+def target_names(targets: Mapping[str, Target]) -> dict[str, str]:
+    """Each robot's target file: one where all carry the same target, else one a robot."""
+    alike = all(target == next(iter(targets.values())) for target in targets.values())
+    return {robot: "target.toml" if alike else f"{robot}_target.toml" for robot in targets}
+
+
+def write_targets(targets: Mapping[str, Target], directory: Path) -> dict[str, str]:
+    """Write the target files; their names by robot."""
+    names = target_names(targets)
     for robot, name in names.items():
         (directory / name).write_text(target_text(targets[robot]), encoding="utf-8")
     return names
 
 
-def _changed(noise: OdometryNoise) -> dict[str, object]:
-    """The values that matter: those of a planar robot, and any scale error's."""
+def noise_keys(noise: OdometryNoise) -> dict[str, object]:
+    """The values that matter: those of a planar robot, and what else is above 0."""
     values = msgspec.structs.asdict(noise)
     always = ("distance", "lateral", "heading_drive", "heading_turn")
     return {key: value for key, value in values.items() if key in always or value}

@@ -11,7 +11,7 @@ import msgspec
 import typer
 
 from trigpoint.base.errors import MessageError
-from trigpoint.bus.bus import Bus
+from trigpoint.bus.bus import Bus, Sample
 from trigpoint.contract.cdr import decode
 from trigpoint.contract.messages import Diagnostics, DiagnosticStatus
 from trigpoint.contract.topics import DIAGNOSTICS, alive_key
@@ -94,7 +94,7 @@ def look(
     deadline = time.monotonic() + listen_s
     while not stopping.is_set() and (left_s := deadline - time.monotonic()) > 0:
         if (sample := subscription.take(min(left_s, 0.2))) is not None:
-            statuses += _statuses(sample.payload)
+            statuses += statuses_in(sample)
     subscription.close()
     tokens = bus.alive(alive_key(site, "*", "*"))
     return summarise(
@@ -110,10 +110,10 @@ def look(
     )
 
 
-def _statuses(payload: bytes) -> tuple[DiagnosticStatus, ...]:
-    """The statuses in a message; none if it is invalid, which every node reports."""
+def statuses_in(sample: Sample) -> tuple[DiagnosticStatus, ...]:
+    """The statuses in diagnostics; none if they are invalid, which every node reports."""
     try:
-        message = decode(DIAGNOSTICS.type_name, payload)
+        message = decode(DIAGNOSTICS.type_name, sample.payload)
     except MessageError:
         return ()
     assert isinstance(message, Diagnostics)

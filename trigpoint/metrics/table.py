@@ -82,6 +82,12 @@ METRICS: dict[str, tuple[Metric, ...]] = {
             "by how much this machine's clock was set and is not followed yet, else absent",
         ),
         Metric(
+            "trigpoint_clock_off_by_seconds",
+            "clock_off_by",
+            "by how much a camera's or robot's clock is ahead of fusion's, where that is more than "
+            "is borne, else absent",
+        ),
+        Metric(
             "trigpoint_clock_offset_seconds",
             "clock_offset_ms",
             "fusion's clock less this machine's, of cameras and robots; absent where fusion does "

@@ -12,6 +12,7 @@ from msgspec import Struct
 
 from trigpoint.base.clock import STEP_NS, to_seconds
 from trigpoint.bus.bus import Bus, Reply
+from trigpoint.contract.clock_doubt import CLOCK_OFF_BY
 from trigpoint.contract.topics import command_key
 from trigpoint.node.node import Node
 from trigpoint.node.watchdog import Pulse
@@ -106,7 +107,9 @@ class ClockWatch:
         self.is_off = best is not None and best.exceeds(self._limit_s)
         if best is None or not self.is_off:
             health.release(CLOCK_IS_OFF)
+            health.describe(CLOCK_OFF_BY, None)
             return
+        health.describe(CLOCK_OFF_BY, f"{-best.offset_s:+.3f}")
         side = "behind" if best.offset_s > 0 else "ahead of"
         health.hold(
             CLOCK_IS_OFF,

@@ -95,10 +95,13 @@ class Health:
         with self._lock:
             self._gauges[name] = read
 
-    def describe(self, name: str, text: str) -> None:
-        """Show a state in words, replacing its previous text."""
+    def describe(self, name: str, text: str | None) -> None:
+        """Show a state in words, replacing its previous text; None: show it no longer."""
         with self._lock:
-            self._descriptions[name] = text
+            if text is None:
+                self._descriptions.pop(name, None)
+            else:
+                self._descriptions[name] = text
 
     def watch(self, name: str, subscription: Incoming) -> None:
         """Show a subscription's total, rate, depth and losses."""

@@ -24,11 +24,12 @@ from trigpoint.base.ending import ENDING
 from trigpoint.base.errors import BusError, MessageError, OperationError
 from trigpoint.bus.bus import Bus, Closable, Publisher, Subscription
 from trigpoint.contract.cdr import decode, encode
+from trigpoint.contract.clock_doubt import CLOCK_SET_BY
 from trigpoint.contract.messages import Diagnostics, DiagnosticStatus
 from trigpoint.contract.topics import DIAGNOSTICS, alive_key
 
 from .health import LOST_SO_FAR, Health, Level, Report
-from .peers import CLOCK_SET_BY, MET, Peers
+from .peers import MET, Peers
 from .watchdog import Pulse, Watchdog
 
 __all__ = ["Health", "Node", "stop_on_signals", "stopped_by_signals"]
@@ -242,11 +243,6 @@ class Node:
     def clock_set_by_ns(self) -> int:
         """By how much this machine's clock was set, while not yet followed; 0 if all is well."""
         return self._clock.set_by_ns if isinstance(self._clock, SteadyClock) else 0
-
-    @property
-    def doubted_names(self) -> frozenset[str]:
-        """Names of the nodes whose clocks were set and are not yet followed."""
-        return self._peers.doubted_names
 
     def silent_s(self, server: str) -> float | None:
         """How long nothing has been heard of `fusion` or `recorder`; None if it never was."""

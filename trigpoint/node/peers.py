@@ -11,14 +11,11 @@ from .health import Level
 _log = logging.getLogger(__name__)
 
 _MEMORY_S = 5.0
-_MOST_DOUBTED = 1000
 _MOST_COMPLAINTS = 20
 MET = "met"
 """Diagnostics value: which servers of the site a node has heard since it started."""
 SERVERS = {"fusion": "fusion", "recorder": "main"}
 """The kinds of node of which a site has one: kind -> its name."""
-CLOCK_SET_BY = "clock_set_by"
-"""Diagnostics value of a node whose machine's clock was set: by how many seconds."""
 
 
 class Peers:
@@ -27,7 +24,6 @@ class Peers:
     def __init__(self, label: str, unique: str, born_ns: int) -> None:
         self._label, self._unique, self._born_ns = label, unique, born_ns
         self._complaints: dict[str, float] = {}
-        self._doubted: dict[str, float] = {}
         self._servers_s: dict[str, float] = {}
         self._troubles: dict[str, str] = {}
 
@@ -42,10 +38,6 @@ class Peers:
         if (kind := status.name.partition("/")[0]) in SERVERS:
             self._servers_s[kind] = time.monotonic()
             self._troubles[kind] = status.message if status.level >= Level.ERROR else ""
-        if CLOCK_SET_BY in status.values and len(self._doubted) < _MOST_DOUBTED:
-            self._doubted[status.name] = time.monotonic()
-        else:
-            self._doubted.pop(status.name, None)
         where = f"{status.name} (host {status.hardware_id}, process {status.values.get('process')})"
         if status.values.get("contract") != str(CONTRACT):
             theirs = status.values.get("contract")
@@ -68,13 +60,6 @@ class Peers:
     def trouble_of(self, server: str) -> str:
         """What a server says is wrong with it, "" where nothing is. Any thread."""
         return self._troubles.get(server, "")
-
-    @property
-    def doubted_names(self) -> frozenset[str]:
-        """Names of nodes that recently reported that their machine's clock was set. Any thread."""
-        since_s = time.monotonic() - _MEMORY_S
-        doubted = dict(self._doubted)
-        return frozenset(name.partition("/")[2] for name, s in doubted.items() if s > since_s)
 
     def complaint(self) -> str:
         """What is wrong with the other nodes now, "" if nothing is."""

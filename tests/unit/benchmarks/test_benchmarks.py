@@ -7,9 +7,8 @@ from pathlib import Path
 import pytest
 
 from benchmarks.fusion.corridor import Corridor
-from benchmarks.machine import machine
 from benchmarks.network import messages
-from benchmarks.report import write_report
+from benchmarks.report import machine, write_report
 from benchmarks.table import BENCHMARKS, Row, formatted
 from trigpoint.contract.messages import Odometry, Sightings
 

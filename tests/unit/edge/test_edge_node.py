@@ -57,7 +57,7 @@ def test_clock_that_is_off_is_told_by_the_camera_itself(desk: Desk) -> None:
     desk.bus.serve("lab/clock", lambda _: json.dumps({"now_ns": time.time_ns() - 10**9}).encode())
     node = desk.start(script=held_back(waits))
     assert eventually(lambda: "clock is 1.0" in node.health.last_error)
-    assert "s ahead of fusion's, where 0.006 s are borne: what camera c1 sees" in (
+    assert "s ahead of fusion's, where 0.006 s are borne: what camera c1 sees is not used" in (
         node.health.last_error
     )
     waits.set()
@@ -236,4 +236,4 @@ def test_calibration_can_be_asked_for(desk: Desk) -> None:
     (reply,) = desk.bus.query(command_key("lab", "camera/c1/calibrate"))
     may_end.set()
     node.wait()
-    assert "1 views of the target were found" in reply.error
+    assert "1 view of the target was found" in reply.error

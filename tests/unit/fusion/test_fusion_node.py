@@ -278,12 +278,12 @@ def test_camera_that_said_that_it_was_nudged_is_in_the_diagnostics_also_after_a_
         run.feed(charuco.messages[:60])
         key = topics.DIAGNOSTICS.key("lab")
         run.bus.publisher(topics.DIAGNOSTICS, key).put(cdr.encode(told))
-        assert eventually(lambda: "input: nudged c2" in run.node.health.held)
+        assert eventually(lambda: "input: doubted c2" in run.node.health.held)
         assert run.node.health.total("left_out.camera_nudged") == 1
         run.keep(tmp_path / "checkpoint.bin")
     with running(charuco.inputs, tmp_path) as run:
         run.ask("fusion/map")
-        assert eventually(lambda: "input: nudged c2" in run.node.health.held)
+        assert eventually(lambda: "input: doubted c2" in run.node.health.held)
 
 
 def test_announced_lenses_are_used(charuco: Session, tmp_path: Path) -> None:

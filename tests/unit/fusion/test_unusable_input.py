@@ -185,12 +185,12 @@ def test_sightings_that_waited_are_no_clock_that_is_off_but_lasting_ones_are(
     assert "sightings of c1 come over 1 s late" in told(450, is_late=True)
 
 
-def test_clock_in_doubt_is_said_by_fusion(charuco: Session) -> None:
+def test_clock_of_its_own_that_was_set_is_said_by_fusion(charuco: Session) -> None:
     pipeline, site = live(charuco), charuco.inputs.site
     diagnostics = Diagnostics(site, Admission(site))
-    pipeline.doubted = frozenset({"c2"})
-    assert "no corrections by c2: a clock was set" in diagnostics.now(pipeline, 0)["clocks"]
-    pipeline.doubted = frozenset()
+    pipeline.is_clock_set = True
+    assert "no corrections: this machine's clock was set" in diagnostics.now(pipeline, 0)["clock"]
+    pipeline.is_clock_set = False
     assert diagnostics.now(pipeline, 1) == {}
 
 

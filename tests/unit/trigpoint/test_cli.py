@@ -1,4 +1,5 @@
 import ast
+import errno
 import logging
 import os
 import re
@@ -94,6 +95,23 @@ def test_shell_completes_commands_and_the_options_of_one() -> None:
 
     assert {"review", "replay", "record"} <= set(completed("trigpoint re"))
     assert "--watch" in completed("trigpoint status --")
+
+
+@pytest.mark.parametrize(
+    ("number", "status"),
+    [(errno.ENAMETOOLONG, 2), (errno.EACCES, 2), (errno.EROFS, 2), (errno.ENOSPC, 1)],
+)
+def test_a_file_that_the_system_refuses_is_one_line(
+    number: int, status: int, monkeypatch: pytest.MonkeyPatch, cli: Cli
+) -> None:
+    def refused() -> None:
+        raise OSError(number, os.strerror(number), "/a/session")
+
+    put_command(monkeypatch, refused)
+    words = os.strerror(number)
+    said = cli("edge", status=status)
+    begin = f"trigpoint: /a/session: {words[0].lower()}{words[1:]}; check the path"
+    assert (said.out, said.err[: len(begin)], said.err.count("\n")) == ("", begin, 1)
 
 
 def test_a_name_that_is_no_command_is_said(cli: Cli) -> None:
@@ -195,12 +213,18 @@ def test_every_package_that_may_be_missing_is_known() -> None:
     source = Path(trigpoint.__file__).parents[1]
     parts = ("trigpoint", "edge", "fusion", "robot", "recorder", "tools")
     modules = [path for part in parts for path in (source / part).rglob("*.py")]
-    imported = {name for path in modules for name in _imported(ast.parse(path.read_bytes()))}
     always = {"trigpoint", "zenoh", "msgspec", "numpy", "rosbags", "ruamel", "rich", "typer"}
     always.add("prometheus_client")
     always.add("pymavlink")  # its own protocol says that it is missing
+    known = {"trigpoint", *always, *sys.stdlib_module_names, *EXTRAS}
     assert len(modules) > 100
-    assert imported - sys.stdlib_module_names - always <= EXTRAS.keys()
+    for path in modules:
+        text = path.read_text(encoding="utf-8")
+        if set(_FIRST_WORD.findall(text)) - known:  # or a line of a text that begins so
+            assert set(_imported(ast.parse(text))) <= known, path
+
+
+_FIRST_WORD = re.compile(r"^ *(?:from|import) +(\w+)", re.MULTILINE)
 
 
 def _imported(tree: ast.AST) -> Iterator[str]:

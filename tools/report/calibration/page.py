@@ -5,19 +5,21 @@ from html import escape
 from trigpoint import __version__
 from trigpoint.base.words import counted
 from trigpoint.map.network import ON_ONE_SIGHTING, CameraRecord
+from trigpoint.tools.networks.building_alignment import RESIDUALS, alignment_words, residual_rows
 from trigpoint.tools.pages.frame import (
     commands,
     html_page,
     note,
+    row,
     scrolling,
     section,
+    table,
     warning,
 )
 from trigpoint.tools.pages.network_map import NetworkMap, Way
-from trigpoint.tools.pages.residual_charts import histogram_drawing, picture_drawing
+from trigpoint.tools.pages.residual_charts import residual_figures
 from trigpoint.tools.pages.svg import camera_colour, element
 
-from .building import building_section
 from .corrected import corrected_section
 from .facts import CalibrationResults
 from .tables import (
@@ -43,7 +45,7 @@ def calibration_page(results: CalibrationResults) -> str:
         _unconfirmed(results),
         summary(results),
         _map(results),
-        building_section(results),
+        _building(results),
         corrected_section(results),
         _guidance(results),
         _cameras(results),
@@ -118,6 +120,24 @@ def _map(results: CalibrationResults) -> str:
     return section("The map", figure) if figure else ""
 
 
+def _building(results: CalibrationResults) -> str:
+    title, building = "The map in the building", results.building
+    if results.building_problem:
+        return section(title, element("p", escape(results.building_problem)))
+    if building is None:
+        return ""
+    words = f"T{alignment_words(building)[1:]}"
+    if building.laying is None:
+        return section(title, note(f"{words}."))
+    words += (
+        ", by least squares over the surveyed points. A point's residual is surveyed minus map; by "
+        "chance: how often one is as large where nothing is wrong. The network in the building's "
+        f"frame is in the folder {building.frame}."
+    )
+    rows = [row(map(escape, cells)) for cells in residual_rows(building)]
+    return section(title, note(words), scrolling(table(RESIDUALS, rows), narrow=True))
+
+
 def _guidance(results: CalibrationResults) -> str:
     if results.worst is None:
         return ""
@@ -155,8 +175,8 @@ def _cameras(results: CalibrationResults) -> str:
         )
     cameras = results.network.cameras.items()
     sections = [_camera(results, name, c, index) for index, (name, c) in enumerate(cameras)]
-    table = overview_table(results.network, results.error)
-    return section("The cameras", note(words), scrolling(table), *sections)
+    shown = scrolling(overview_table(results.network, results.error))
+    return section("The cameras", note(words), shown, *sections)
 
 
 def _camera(results: CalibrationResults, name: str, camera: CameraRecord, index: int) -> str:
@@ -183,15 +203,7 @@ def _residuals(results: CalibrationResults, name: str, camera: CameraRecord) -> 
     if residuals is None or not residuals.used.any() or camera.intrinsics is None:
         return ""
     size = camera.intrinsics.width, camera.intrinsics.height
-    figures = (
-        picture_drawing(residuals, *size, name=name),
-        histogram_drawing(residuals, name=name),
-    )
-    shown = [
-        element("figure", picture, element("figcaption", escape(words)))
-        for picture, words in figures
-    ]
-    return element("div", *shown, class_="pair")
+    return residual_figures(residuals, *size, name=name)
 
 
 def _moved(camera: CameraRecord) -> str:

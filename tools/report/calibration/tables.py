@@ -31,6 +31,7 @@ _REASONS = {
     "without_intrinsics": "pictures of cameras whose intrinsics never came",
     "in_odometry_gap": "sightings while the odometry was away",
     "late": "sightings that came late",
+    "clock_in_doubt": "sightings by a clock that was off, as its camera or robot said",
     "unusable": "sightings that are numerically unusable",
 }
 

@@ -8,7 +8,6 @@ from support.pictures.boards import (
     Placed,
     checkerboard,
     cluttered_picture,
-    fine_picture_of,
     picture_of,
     placed,
     plain_picture,
@@ -23,7 +22,7 @@ from trigpoint.geometry import CameraModel
 ODD, EVEN = checkerboard(8, 5, number=1), checkerboard(9, 7)
 
 
-@pytest.mark.parametrize("turn_deg", [0, 40, 90, 135, 180, 230, 270, 315])
+@pytest.mark.parametrize("turn_deg", [0, 40, 135, 180, 270])
 def test_board_without_half_turn_is_numbered_truly(turn_deg: float) -> None:
     view = placed(ODD, turn_deg=turn_deg, tilt_deg=25, yaw_deg=-20)
     (face,) = detector_for([target_of(ODD)]).detect(picture_of([view]))
@@ -120,17 +119,6 @@ def test_blurred_and_noisy_board_is_found(blur_px: float, noise: float) -> None:
     assert worst_error(face.pixels, face.corners, view) < 0.8
 
 
-def test_sigma_tells_the_error() -> None:
-    detector = detector_for([target_of(ODD)])
-    ratios = []
-    for seed in range(4):
-        view = placed(ODD, distance=0.9, tilt_deg=10 * seed - 20, yaw_deg=7 * seed)
-        (face,) = detector.detect(fine_picture_of([view], noise=10.0, blur_px=0.8, seed=seed))
-        error = face.pixels - true_pixels(view)[face.corners.astype(int)]
-        ratios.append(np.mean(error**2) / face.sigma**2)
-    assert 0.6 < np.mean(ratios) < 1.7
-
-
 @pytest.mark.parametrize("seed", range(4))
 def test_nothing_is_found_in_clutter(seed: int) -> None:
     assert detector_for([target_of(EVEN, ODD)]).detect(cluttered_picture(seed)) == ()
@@ -178,8 +166,9 @@ def test_board_of_the_other_colours_is_named_once_and_not_guessed(
     assert remedy in line
 
 
-@pytest.mark.parametrize("turn_deg", [0, 70, 180, 290])
-@pytest.mark.parametrize("size", [(9, 7), (8, 6), (9, 6)])
+@pytest.mark.parametrize(
+    ("size", "turn_deg"), [((9, 7), 70), ((9, 7), 180), ((8, 6), 0), ((8, 6), 290), ((9, 6), 70)]
+)
 def test_inverted_board_is_found_as_the_negative_of_one(
     size: tuple[int, int], turn_deg: float
 ) -> None:
@@ -217,17 +206,23 @@ FOCAL_PX, MIDDLE_PX = 200.0, np.array([322.0, 238.0])
 """Of an equidistant lens that has 180 degrees in a circle of 628 pixels."""
 
 
-def through_a_fisheye(view: Placed) -> np.ndarray:
-    """The picture of a board alone, (480, 640) uint8: a ray for each fourth of a pixel."""
-    face, camera_from_face = view
+@pytest.fixture(scope="module")
+def rays() -> np.ndarray:
+    """A ray for each fourth of a pixel, (1920, 2560, 3) float32."""
     fine = 4
     u, v = np.meshgrid(*((np.arange(fine * n) + 0.5) / fine - 0.5 for n in (640, 480)))
     place = (np.stack([u, v], axis=-1) - MIDDLE_PX) / FOCAL_PX
     angle = np.linalg.norm(place, axis=-1, keepdims=True)
-    rays = np.concatenate([np.sinc(angle / np.pi) * place, np.cos(angle)], axis=-1)
+    across = np.sinc(angle / np.pi) * place
+    return np.concatenate([across, np.cos(angle)], axis=-1).astype(np.float32)
+
+
+def through_a_fisheye(rays: np.ndarray, view: Placed) -> np.ndarray:
+    """The picture of a board alone, (480, 640) uint8."""
+    face, camera_from_face = view
     plane = camera_from_face.rotation.T
     origin = plane @ camera_from_face.translation
-    rays = rays @ plane.T
+    rays = rays @ plane.T.astype(np.float32)
     reach = origin[2] / rays[..., 2]
     spot = np.floor((reach[..., None] * rays - origin)[..., :2] / face.square).astype(int)
     on = (spot >= -2) & (spot < (face.columns, face.rows))
@@ -247,10 +242,12 @@ def fisheye_pixels(view: Placed) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("distance", "x", "yaw_deg"), [(0.1, 0.0, 10), (0.15, 0.25, 40)])
-def test_fisheye_costs_no_corner(distance: float, x: float, yaw_deg: float) -> None:
+def test_fisheye_costs_no_corner(
+    rays: np.ndarray, distance: float, x: float, yaw_deg: float
+) -> None:
     """Over most of the picture, and towards its rim."""
     view = placed(EVEN, distance=distance, x=x, yaw_deg=yaw_deg, tilt_deg=8)
-    (face,) = detector_for([target_of(EVEN)]).detect(through_a_fisheye(view))
+    (face,) = detector_for([target_of(EVEN)]).detect(through_a_fisheye(rays, view))
     assert len(face.corners) == EVEN.corner_count
     truth = fisheye_pixels(view)
     assert min(np.abs(face.pixels - order).max() for order in (truth, truth[::-1])) < 0.15
@@ -259,10 +256,12 @@ def test_fisheye_costs_no_corner(distance: float, x: float, yaw_deg: float) -> N
 @pytest.mark.parametrize(
     ("distance", "x", "yaw_deg", "cut"), [(0.12, 0.1, 20, 200), (0.15, 0.15, 25, 120)]
 )
-def test_lens_need_not_be_centred(distance: float, x: float, yaw_deg: float, cut: int) -> None:
+def test_lens_need_not_be_centred(
+    rays: np.ndarray, distance: float, x: float, yaw_deg: float, cut: int
+) -> None:
     """As where a part of a sensor is read, or a picture was cut."""
     view = placed(EVEN, distance=distance, x=x, yaw_deg=yaw_deg, tilt_deg=8)
-    picture = np.ascontiguousarray(through_a_fisheye(view)[:, cut:])
+    picture = np.ascontiguousarray(through_a_fisheye(rays, view)[:, cut:])
     (face,) = detector_for([target_of(EVEN)]).detect(picture)
     assert len(face.corners) == EVEN.corner_count
     truth = fisheye_pixels(view) - (cut, 0)

@@ -66,6 +66,18 @@ def test_board_that_the_picture_contradicts_is_not_found_and_said_at_once(
     assert line.endswith(remedy) or "; compare" in line
 
 
+@pytest.mark.parametrize("distance", [2.2, 2.6])
+def test_board_of_small_markers_is_said_too(distance: float) -> None:
+    """Of a dozen pixels: who looks for squares that touch tags does not see them."""
+    true = charuco(5, 4)
+    picture = picture_of([placed(true, distance=distance, turn_deg=10, yaw_deg=15)])
+    assert detector_for([target_of(true)]).detect(picture)
+    detector = detector_for([target_of(replace(true, dictionary="DICT_5X5_250"))])
+    assert detector.detect(picture) == ()
+    [line] = detector.misdescribed
+    assert line.endswith('write dictionary = "DICT_4X4_250"')
+
+
 @pytest.mark.parametrize(
     ("described", "remedy"),
     [
@@ -113,28 +125,21 @@ KALIBR = replace(aprilgrid(6, 5, border_bits=2), numbering=Numbering.KALIBR)
     ],
     ids=["a grid", "a ChArUco board", "larger, of other markers", "all of a grid"],
 )
-@pytest.mark.parametrize("is_mirrored", [False, True])
 def test_board_that_differs_in_all_is_said_whole(
-    true: Face, described: Face, said: list[str], is_mirrored: bool
+    true: Face, described: Face, said: list[str]
 ) -> None:
-    detector = detector_for([target_of(described)])
-    for picture in shots(true, np.random.default_rng(2), 2):
-        shown = np.fliplr(picture).copy() if is_mirrored else picture
-        assert detector.detect(shown) == ()
-    [line] = detector.misdescribed
-    assert [words for words in said if words not in line] == []
-    assert ("mirrored board" in line) is is_mirrored
+    """Also where the pictures are mirrored."""
+    pictures = shots(true, np.random.default_rng(2), 2)
+    for is_mirrored in (False, True):
+        detector = detector_for([target_of(described)])
+        for picture in pictures:
+            assert detector.detect(np.fliplr(picture).copy() if is_mirrored else picture) == ()
+        [line] = detector.misdescribed
+        assert [words for words in said if words not in line] == []
+        assert ("mirrored board" in line) is is_mirrored
 
 
-def test_board_of_the_sites_other_pattern_is_no_misdescribed_one() -> None:
-    grid = replace(KALIBR, id=1)
-    detector = detector_for([target_of(charuco(5, 7), grid)])
-    for picture in shots(grid, np.random.default_rng(2), 2):
-        assert detector.detect(picture)
-    assert detector.misdescribed == ()
-
-
-@pytest.mark.parametrize("hidden", [0, 1, 2])
+@pytest.mark.parametrize("hidden", [0, 2])
 def test_rows_of_the_sites_other_pattern_may_be_hidden(hidden: int) -> None:
     board = charuco(5, 7, first=30)
     uppermost = replace(KALIBR, id=1, rows=5 - hidden, first_marker=6 * hidden)
@@ -156,7 +161,7 @@ def test_markers_that_chance_reads_at_an_edge_are_no_board_where_the_board_goes_
 def test_mirrored_pictures_are_called_mirrored(face: Face, other: str) -> None:
     described = replace(face, dictionary=other or face.dictionary)
     detector = detector_for([target_of(described)])
-    for turn_deg in (0, 25, 200):
+    for turn_deg in (0, 200):
         view = placed(face, distance=1.0, turn_deg=turn_deg)
         assert detector.detect(np.fliplr(picture_of([view])).copy()) == ()
     [line] = detector.misdescribed

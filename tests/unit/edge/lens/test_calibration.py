@@ -1,5 +1,6 @@
 """A lens from views: is it right, are its sigmas true, and what is taken and left out."""
 
+from functools import cache
 from itertools import pairwise
 
 import cv2
@@ -9,7 +10,7 @@ from msgspec.structs import replace
 from support.pictures.lens_views import BOARD, FISHEYE, PINHOLE, SIZE, board_views
 
 from trigpoint.base.errors import OperationError
-from trigpoint.edge.lens.calibration import calibrate
+from trigpoint.edge.lens.calibration import Calibration, calibrate
 from trigpoint.edge.lens.calibration_choice import Candidate, choose
 from trigpoint.edge.lens.calibration_fit import Fit, fit, place
 from trigpoint.edge.lens.calibration_information import most_informative, view_information
@@ -41,9 +42,15 @@ def fitted(camera: CameraModel, views: list[View]) -> Fit:
     return found
 
 
+@cache
+def found_of(camera: CameraModel) -> Calibration:
+    """What sixteen views tell of a lens."""
+    return calibrate(board_views(16, 1, camera=camera), SIZE)
+
+
 @pytest.mark.parametrize("camera", [PINHOLE, FISHEYE])
 def test_lens_and_its_model_are_found(camera: CameraModel) -> None:
-    found = calibrate(board_views(16, 1, camera=camera), SIZE)
+    found = found_of(camera)
     assert found.camera.model is camera.model
     difference = np.abs(found.camera.parameters - camera.parameters)
     assert np.all(difference < 4 * found.known.sigma)
@@ -53,7 +60,7 @@ def test_lens_and_its_model_are_found(camera: CameraModel) -> None:
     assert not found.doubts
 
 
-@pytest.mark.parametrize(("camera", "count"), [(PINHOLE, 12), (PINHOLE, 24), (FISHEYE, 15)])
+@pytest.mark.parametrize(("camera", "count"), [(PINHOLE, 12), (FISHEYE, 15)])
 def test_sigmas_are_true(camera: CameraModel, count: int) -> None:
     errors = []
     for seed in range(16):
@@ -82,7 +89,7 @@ def test_fit_is_opencvs_where_that_finds_it() -> None:
     assert np.all(known.sigma < 2.0 * sigma)
 
 
-@pytest.mark.parametrize("half_angle_deg", [20, 50, 88])
+@pytest.mark.parametrize("half_angle_deg", [20, 88])
 def test_any_field_of_view_is_found_from_nothing(half_angle_deg: float) -> None:
     focal = 400 / np.radians(half_angle_deg)
     true = CameraModel(
@@ -139,10 +146,10 @@ def noisy(view: View, name: str, seed: int, noise: float = 0.1) -> View:
 
 def test_views_that_are_alike_count_as_one() -> None:
     telling, frontal = board_views(12, 6), board_views(1, 7, tilt_deg=2.0, near=0.7)[0]
-    alike = [noisy(frontal, f"same{i}", i) for i in range(24)]
+    alike = [noisy(frontal, f"same{i}", i) for i in range(8)]
     alone, both = calibrate(telling, SIZE), calibrate([*alike, *telling], SIZE)
     assert both.looks <= 13
-    assert len(both.used) == 36
+    assert len(both.used) == 20
     assert np.all(both.known.sigma[:4] > 0.7 * alone.known.sigma[:4])
     assert worst_pixel_error(both.camera, PINHOLE) < 4.0
 
@@ -173,8 +180,7 @@ def test_view_read_from_the_other_end_is_still_the_same() -> None:
     assert looks_of([view, turned, board_views(2, 8)[1]], SIZE[0]).tolist() == [0, 0, 1]
 
 
-@pytest.mark.parametrize("camera", [PINHOLE, FISHEYE])
-@pytest.mark.parametrize("tilt_deg", [0.0, 4.0])
+@pytest.mark.parametrize(("camera", "tilt_deg"), [(PINHOLE, 4.0), (FISHEYE, 0.0)])
 def test_a_board_that_was_never_tilted_leaves_the_focal_length_open(
     camera: CameraModel, tilt_deg: float
 ) -> None:
@@ -202,19 +208,6 @@ def test_a_bow_of_the_board_is_no_focal_length() -> None:
 def test_views_that_no_lens_explains_are_said_to_be_so() -> None:
     shaken = board_views(12, 1, noise=1.5)
     assert "no model explains the views" in str(calibrate(shaken, SIZE).doubts)
-
-
-def test_halves_of_a_set_agree_within_their_sigmas() -> None:
-    """With a board that is bent another way in every view, as cardboard in a hand."""
-    pulls = []
-    for seed in range(6):
-        random = np.random.default_rng(seed)
-        views = [bent(view, random) for view in board_views(30, 300 + seed)]
-        halves = [views[half::2] for half in (0, 1)]
-        first, second = (fitted(PINHOLE, half) for half in halves)
-        sigmas = [knowledge(*pair).sigma for pair in zip((first, second), halves, strict=True)]
-        pulls.append((first.camera.parameters - second.camera.parameters) / np.hypot(*sigmas))
-    assert np.mean(np.abs(pulls) < 2) > 0.9
 
 
 def test_greedy_choice_prefers_what_is_not_known_yet() -> None:
@@ -258,9 +251,9 @@ def test_too_few_views_are_refused_with_what_to_do() -> None:
 
 
 def test_text_and_record_say_the_same() -> None:
-    found = calibrate(board_views(12, 11), SIZE)
+    found = found_of(PINHOLE)
     text, record = calibration_text(found), calibration_record(found)
-    assert "12 views used, 12 of them different, 0 rejected" in text
+    assert "16 views used, 16 of them different, 0 rejected" in text
     assert f"model {found.camera.model.value}" in text
     intrinsics = record["intrinsics"]
     assert isinstance(intrinsics, dict)

@@ -74,3 +74,33 @@ def test_nothing_vague_is_said_before_every_board_was_looked_for(tried: list[obj
         assert boards.lines == {}
     boards.look(picture, {look})
     assert "compare columns" in boards.lines[look]
+    assert boards.refused == {look}  # as is said
+
+
+def test_boards_are_looked_for_again_when_something_comes_in_but_not_for_ever(
+    tried: list[object],
+) -> None:
+    look = Appearance(BOARD, "box", 0)
+    boards, picture = MisdescribedBoards([look], [BOARD]), np.full((480, 640), 230, np.uint8)
+    for _ in range(100):
+        boards.look(picture, set(), quads=2)
+    before = len(tried)
+    for _ in range(10):
+        boards.look(picture, set(), quads=20)
+    assert set(tried[before:]) == set(readings([look]))
+    for _ in range(100):
+        boards.look(picture, set(), quads=20)
+    assert len(tried) - before < 10 * len(set(tried))
+
+
+@pytest.mark.parametrize(("found", "is_said"), [(0, True), (20, True), (40, False)])
+def test_a_board_that_is_contradicted_now_and_then_is_no_other_one(
+    found: int, is_said: bool
+) -> None:
+    look = Appearance(BOARD, "box", 0)
+    boards, picture = MisdescribedBoards([look], [BOARD]), np.full((480, 640), 230, np.uint8)
+    for _ in range(found):
+        boards.confirm(look)
+    for _ in range(3):
+        boards.look(picture, {look})
+    assert (look in boards.lines, boards.refused == {look}) == (is_said, is_said)

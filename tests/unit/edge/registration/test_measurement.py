@@ -30,9 +30,16 @@ def view(board: Face, distance: float, number: int) -> Placed:
     )
 
 
-@pytest.mark.parametrize(("noise", "blur_px"), [(2.0, 0.5), (2.0, 1.2), (10.0, 0.8)])
 @pytest.mark.parametrize(
-    ("board", "distance"), [(checkerboard(), 0.9), (charuco(), 1.0), (aprilgrid(), 1.2)]
+    ("board", "distance", "noise", "blur_px"),
+    [
+        (checkerboard(), 0.9, 2.0, 0.5),
+        (checkerboard(), 0.9, 10.0, 0.8),
+        (charuco(), 1.0, 2.0, 1.2),
+        (charuco(), 1.0, 10.0, 0.8),
+        (aprilgrid(), 1.2, 2.0, 0.5),
+        (aprilgrid(), 1.2, 2.0, 1.2),
+    ],
 )
 def test_sigma_is_the_error(board: Face, distance: float, noise: float, blur_px: float) -> None:
     detector = detector_for([target_of(board)])

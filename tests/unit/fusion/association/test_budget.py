@@ -29,7 +29,15 @@ def within(came: Came, allowed: float) -> tuple[Explanation, Budget]:
     return explain(*came, budget=budget), budget
 
 
-def test_without_a_budget_nothing_is_located_or_called_anything_but_undecided(came: Came) -> None:
+@pytest.fixture(scope="module")
+def whole(came: Came) -> tuple[Explanation, Budget]:
+    """What all of it tells, and what that takes."""
+    return within(came, np.inf)
+
+
+def test_without_a_budget_nothing_is_located_or_called_anything_but_undecided(
+    came: Came, whole: tuple[Explanation, Budget]
+) -> None:
     explanation, budget = within(came, 0.0)
     assert explanation.findings.keys() == {"c1", "c2"}
     assert all("not decided in time" in f.reason for f in explanation.findings.values())
@@ -37,17 +45,18 @@ def test_without_a_budget_nothing_is_located_or_called_anything_but_undecided(ca
     assert not explanation.places
     assert not explanation.lifts
     assert not explanation.moves
-    _, whole = within(came, np.inf)
-    assert budget.spent < 0.2 * whole.spent
+    assert budget.spent < 0.2 * whole[1].spent
 
 
 @pytest.mark.parametrize("share", [0.1, 0.3, 0.5, 0.7, 0.9, 0.97, 0.999, 1.001])
-def test_whatever_the_budget_what_is_located_is_where_it_is(came: Came, share: float) -> None:
-    whole, needed = within(came, np.inf)
+def test_whatever_the_budget_what_is_located_is_where_it_is(
+    came: Came, whole: tuple[Explanation, Budget], share: float
+) -> None:
+    everything, needed = whole
     found, _ = within(came, share * needed.spent)
     for camera, finding in found.findings.items():
         if finding.is_located:
-            right = whole.findings[camera].alternatives[0].map_from_camera
+            right = everything.findings[camera].alternatives[0].map_from_camera
             there = finding.alternatives[0].map_from_camera
             np.testing.assert_allclose(there.translation, right.translation, atol=1e-6)
         else:
@@ -57,10 +66,11 @@ def test_whatever_the_budget_what_is_located_is_where_it_is(came: Came, share: f
     assert {camera for camera, _ in found.places} <= located
 
 
-def test_camera_with_undecided_pictures_is_left_open_and_no_other(came: Came) -> None:
-    whole, _ = within(came, np.inf)
+def test_camera_with_undecided_pictures_is_left_open_and_no_other(
+    came: Came, whole: tuple[Explanation, Budget]
+) -> None:
     found = explain(*came, undecided=frozenset({"c2"}))
-    (mine,), (expected,) = (e.findings["c1"].alternatives for e in (found, whole))
+    (mine,), (expected,) = (e.findings["c1"].alternatives for e in (found, whole[0]))
     np.testing.assert_allclose(mine.covariance, expected.covariance, rtol=1e-6, atol=1e-12)
     assert not found.findings["c2"].is_located
     assert "not decided in time" in found.findings["c2"].reason
@@ -96,10 +106,11 @@ def test_only_worlds_that_may_count_are_verified_the_likeliest_first(
     assert all(finding.is_located for finding in found.findings.values())
 
 
-def test_usual_session_takes_little_of_what_its_length_allows(came: Came) -> None:
-    _, needed = within(came, np.inf)
+def test_usual_session_takes_little_of_what_its_length_allows(
+    came: Came, whole: tuple[Explanation, Budget]
+) -> None:
     allowed = Budget.of(came[0].tracks.values()).allowed
-    assert 0 < needed.spent < allowed / 10
+    assert 0 < whole[1].spent < allowed / 10
 
 
 def test_budget_grows_with_the_session(came: Came) -> None:

@@ -6,8 +6,7 @@ import pytest
 from msgspec.structs import replace
 from support.fusion.networks import located
 
-from benchmarks.fusion.accuracy_map import drawn
-from benchmarks.fusion.hall import hall
+from benchmarks.fusion.accuracy_map import drawn, hall
 from benchmarks.study.session import plain_inputs
 from trigpoint.contract.coverage import NOT_CORRECTED, UNKNOWN
 from trigpoint.fusion.coverage.accuracy_map import (

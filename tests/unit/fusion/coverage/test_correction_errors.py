@@ -1,5 +1,7 @@
 """The errors that pictures of several cameras leave, against least squares written out in full."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from scipy.special import erf
@@ -61,12 +63,18 @@ def test_the_radius_holds_95_percent(covariance: Array) -> None:
     assert inside == pytest.approx(0.95, abs=0.002)
 
 
+@cache
+def strips_of_a_quarter() -> tuple[Array, Array]:
+    """Angles up to a quarter of a turn either way, and their weights."""
+    angles, weights = np.polynomial.legendre.leggauss(2000)
+    return 0.5 * np.pi * angles, 0.5 * np.pi * weights
+
+
 @pytest.mark.parametrize("ratio", [0.0, 0.005, 0.3, 0.995, 1.0])
 def test_the_radius_is_exact(ratio: float) -> None:
     """Of an ellipse of any shape, by integration over strips along its longer axis."""
     reach = float(radius(np.diag([1.0, ratio**2])))
-    angles, weights = np.polynomial.legendre.leggauss(2000)
-    angles, weights = 0.5 * np.pi * angles, 0.5 * np.pi * weights
+    angles, weights = strips_of_a_quarter()
     along, beside = reach * np.sin(angles), reach * np.cos(angles)
     strips = (
         np.exp(-0.5 * along**2) / np.sqrt(2 * np.pi) * erf(beside / np.sqrt(2) / max(ratio, 1e-12))

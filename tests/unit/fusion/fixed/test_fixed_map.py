@@ -26,6 +26,8 @@ from trigpoint.geometry import Pose
 from trigpoint.map.network import encode_network
 
 SEED = 7
+# Where what the boards look like does not matter.
+of_marked_boards = pytest.mark.parametrize("session", ["charuco"], indirect=True)
 # A correction in a million is further off by chance, in three dimensions.
 FAR = 30.7
 
@@ -53,6 +55,7 @@ def moved(plan: Plan, camera: str, by_m: float) -> Plan:
     return replace(plan, cameras=plan.cameras | {camera: replace(eye, map_from_camera=pose)})
 
 
+@of_marked_boards
 def test_robots_go_on_with_the_noise_that_was_learnt(
     drive: Session, results: Results, fixed: FixedNetwork
 ) -> None:
@@ -83,6 +86,7 @@ def test_corrections_are_honest_and_as_good_as_with_learning(
     assert np.all(own < 2 * np.sqrt(theirs**2 + variances))
 
 
+@of_marked_boards
 def test_network_stays_to_the_byte(drive: Session, fixed: FixedNetwork) -> None:
     before, covariance = encode_network(fixed.network), fixed.covariance.copy()
     pipeline = Pipeline(drive.inputs, fixed=fixed)
@@ -108,6 +112,7 @@ def test_camera_that_was_moved_makes_no_wrong_correction_and_is_said(
     assert "camera c2 sees r1 elsewhere" in pipeline.problems["against_the_map c2"].text
 
 
+@of_marked_boards
 def test_each_camera_that_contradicts_the_map_is_named(drive: Session, fixed: FixedNetwork) -> None:
     pipeline = Pipeline(drive.inputs, fixed=fixed)
     first_ns = drive.messages[0][1].stamp_ns  # pyright: ignore
@@ -121,6 +126,7 @@ def test_each_camera_that_contradicts_the_map_is_named(drive: Session, fixed: Fi
         assert f"camera {camera} noticed that it was moved" in said
 
 
+@of_marked_boards
 def test_camera_that_says_that_it_was_moved_makes_no_correction(
     drive: Session, fixed: FixedNetwork
 ) -> None:
@@ -182,6 +188,7 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(message_intake, "_REMEMBERED", 8)
 
 
+@of_marked_boards
 @pytest.mark.usefixtures("few")
 def test_ten_times_the_sightings_take_no_more_memory(plan: Plan, fixed: FixedNetwork) -> None:
     session = make_session(replace(plan, seconds=120.0))
@@ -197,6 +204,7 @@ def test_ten_times_the_sightings_take_no_more_memory(plan: Plan, fixed: FixedNet
     assert len(pipeline._data.tracks["r1"]) <= 128
 
 
+@of_marked_boards
 @pytest.mark.usefixtures("few")
 def test_corrections_are_the_same_where_the_past_is_dropped_early(
     drive: Session, fixed: FixedNetwork, monkeypatch: pytest.MonkeyPatch
@@ -211,6 +219,7 @@ def test_corrections_are_the_same_where_the_past_is_dropped_early(
         assert np.abs(apart / sigmas).max() < 0.05
 
 
+@of_marked_boards
 def test_sightings_of_a_camera_that_the_map_does_not_have_are_counted(
     drive: Session, results: Results
 ) -> None:
@@ -230,6 +239,7 @@ def test_sightings_of_a_camera_that_the_map_does_not_have_are_counted(
     assert pipeline.left_out["not_in_the_map"] > 10
 
 
+@of_marked_boards
 def test_corrections_widen_as_the_cameras_creep(drive: Session, fixed: FixedNetwork) -> None:
     """After a year, with nothing learnt: by as much as a camera may have crept."""
     creep = Creep(2e-4, 2e-4)

@@ -27,7 +27,7 @@ from trigpoint.tools.simulation.sight.targets import target_of
 
 SECONDS = 20.0
 HOLD_S = 1.6
-SEEDS = (1, 2, 3)
+SEEDS = (1, 2)
 
 
 def first_drive(seed: int) -> Session:
@@ -61,9 +61,13 @@ class Drive(Struct, frozen=True):
         return found
 
 
-@pytest.fixture(scope="module", params=SEEDS)
-def drive(request: pytest.FixtureRequest) -> Drive:
-    session = first_drive(request.param)
+@pytest.fixture(scope="module")
+def drive() -> Drive:
+    return driven_first(SEEDS[0])
+
+
+def driven_first(seed: int) -> Drive:
+    session = first_drive(seed)
     pipeline = fed(session, session.messages)
     at_end = copy.deepcopy(pipeline)
     at_end.finish()
@@ -126,7 +130,11 @@ def visited(drive: Drive, map_from_base: Pose, worst: str) -> tuple[float, set[s
     return float(np.sqrt(np.trace(covariance[:3, :3]))), seen
 
 
-def test_visit_brings_what_was_predicted_and_more_than_the_median_candidate(drive: Drive) -> None:
+@pytest.mark.parametrize("seed", SEEDS)
+def test_visit_brings_what_was_predicted_and_more_than_the_median_candidate(
+    drive: Drive, seed: int
+) -> None:
+    drive = drive if seed == SEEDS[0] else driven_first(seed)
     best = suggestions(drive.world, "r1")[0]
     found = drive.options
     after, seen = visited(drive, best.map_from_base, best.camera)

@@ -2,7 +2,7 @@ from pathlib import Path
 
 from trigpoint.cli import COMMANDS
 from trigpoint.tools.demo.folder import DemoFolder, DemoRecord
-from trigpoint.tools.demo.parts import parts_of, tokens_of, viewer_of
+from trigpoint.tools.demo.run import parts_of, tokens_of, viewer_of
 from trigpoint.tools.parts.specs import AGENTS, BRIDGES, FIRMWARE, FUSION, RECORDER, shares
 from trigpoint.tools.simulation.world import load_world
 

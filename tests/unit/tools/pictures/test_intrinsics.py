@@ -46,7 +46,7 @@ def test_lens_is_written_as_ros_reads_it_with_a_page_beside_it(folder: Path, cli
     assert page.startswith("<!doctype html>")
     assert "c1: focal length" in page
     assert "http" not in page
-    assert page.count('role="img"') == 3
+    assert page.count('role="img"') == 2
 
 
 def test_json_tells_the_same_with_sigmas(folder: Path, cli: Cli) -> None:

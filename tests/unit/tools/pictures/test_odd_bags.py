@@ -119,6 +119,26 @@ def test_a_part_that_was_unpacked_by_hand_is_found(tmp_path: Path) -> None:
     assert open_recording(bag).counts == {TOPIC[1:]: 3}
 
 
+@pytest.mark.parametrize("frames", [2, 7])
+def test_a_packed_file_that_breaks_off_says_so_and_what_is_whole_is_read(
+    tmp_path: Path, cli: Cli, frames: int
+) -> None:
+    """It was packed as several frames, as pzstd does."""
+    mcap = write(tmp_path / "whole.mcap", [SOUND] * 12, chunk_size=1).read_bytes()
+    size = len(mcap) // frames + 1
+    pieces = [mcap[start : start + size] for start in range(0, len(mcap), size)]
+    packed = b"".join(map(zstandard.compress, pieces))
+    path = tmp_path / "cut.mcap.zstd"
+    path.write_bytes(packed)
+    assert open_recording(path).counts == {TOPIC[1:]: 12}
+    copy = tmp_path / "copy.mcap.zstd"
+    copy.write_bytes(packed[:-5])
+    assert f"{copy}: the packed file breaks off" in cli("info", copy).err
+    copy = tmp_path / "nothing.mcap.zstd"
+    copy.write_bytes(packed[:20])
+    assert "the packed file breaks off at once; copy it again" in cli.refused("info", copy)
+
+
 def test_a_file_of_packed_messages_is_refused_with_what_to_give(tmp_path: Path, cli: Cli) -> None:
     bag = parts(tmp_path / "bag", packed=False)
     file = bag / "metadata.yaml"

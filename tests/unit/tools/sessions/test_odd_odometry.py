@@ -66,8 +66,10 @@ def test_odometry_in_millimetres_is_asked_for_its_unit(
         (ODOMETRY, by_simulator, "the clock of the odometry counts from 0.*use_sim_time"),
         (SIGHTINGS, by_simulator, "the clock of the pictures counts from 0.*use_sim_time"),
         (ODOMETRY, at_once, "have its driver stamp every message anew"),
-        (ODOMETRY, shifted(-7200 * 10**9), "s lie between them; synchronise the clocks"),
-        (ODOMETRY, shifted(7200 * 10**9), "s lie between them; synchronise the clocks"),
+        (ODOMETRY, shifted(-4000 * 10**9), "s lie between them; synchronise the clocks"),
+        (ODOMETRY, shifted(4000 * 10**9), "s lie between them; synchronise the clocks"),
+        (ODOMETRY, shifted(-7200 * 10**9), "they begin 2 h apart, as where one is .* local time"),
+        (ODOMETRY, shifted(19800 * 10**9), "they begin 5.5 h apart, .*; stamp both in UTC"),
     ],
 )
 def test_times_that_never_overlap_are_said_everywhere_with_the_remedy(

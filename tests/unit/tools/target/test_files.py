@@ -167,13 +167,13 @@ def test_kalibrs_checkerboard_is_imported_by_its_squares(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("text", "why"),
     [
-        (APRIL.replace("tagSize: 0.088", "tagSize: -1"), "tagSize is «-1»"),
-        (APRIL.replace("tagRows: 5\n", ""), "the key «tagRows» is missing"),
-        (APRIL + "tagBits: 2\n", "«tagBits» is not a key"),
+        (APRIL.replace("tagSize: 0.088", "tagSize: -1"), "$.tagSize"),
+        (APRIL.replace("tagRows: 5\n", ""), "missing required field `tagRows`"),
+        (APRIL + "tagBits: 2\n", "unknown field `tagBits`"),
         (CHECKER.replace("rowSpacingMeters: 0.06", "rowSpacingMeters: 0.05"), "square squares"),
         (CHECKER.replace("targetCols: 8", "targetCols: 6"), "make columns and rows differ"),
-        ("target_type: circlegrid\n", "target_type is «circlegrid»"),
-        ("- 1\n", "a mapping is needed"),
+        ("target_type: circlegrid\n", "Invalid value 'circlegrid'"),
+        ("- 1\n", "got `array`"),
     ],
 )
 def test_what_cannot_be_imported_is_named(tmp_path: Path, cli: Cli, text: str, why: str) -> None:

@@ -60,8 +60,9 @@ def stopped(kind: str, number: Signals = SIGTERM) -> tuple[int, float, str]:
     return process.returncode, time.monotonic() - began_s, said
 
 
-@pytest.mark.parametrize("number", [SIGINT, SIGTERM])
-@pytest.mark.parametrize("kind", ["starts", "is in a callback of Python's own"])
+@pytest.mark.parametrize(
+    ("kind", "number"), [("starts", SIGINT), ("is in a callback of Python's own", SIGTERM)]
+)
 def test_service_that_has_nothing_to_close_yet_ends_at_once(kind: str, number: Signals) -> None:
     status, _, said = stopped(kind, number)
     assert (status, said) == (0, "")

@@ -130,9 +130,3 @@ def test_impossible_camera_is_refused(changes: dict[str, object], complaint: str
     }
     with pytest.raises(ValueError, match=complaint):
         CameraModel(**values | changes)  # pyright: ignore[reportArgumentType]
-
-
-@every_camera
-def test_projection_is_the_same_with_and_without_derivatives(camera: CameraModel) -> None:
-    points = points_ahead()
-    np.testing.assert_allclose(camera.project(points), camera.project_jacobians(points)[0])

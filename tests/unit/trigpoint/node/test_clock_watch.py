@@ -8,6 +8,7 @@ import pytest
 from support.builders import make_site
 
 from trigpoint.base.clock import ManualClock, to_ns, to_seconds
+from trigpoint.contract.clock_doubt import CLOCK_OFF_BY
 from trigpoint.node.clock_watch import ClockOffset, ClockWatch
 from trigpoint.node.node import Node
 from trigpoint.testing.memory_bus import MemoryBroker
@@ -80,10 +81,12 @@ def test_clock_that_is_off_holds_until_it_is_set_right(desk: Desk) -> None:
         "this machine's clock is 0.020 s behind fusion's, where 0.006 s are borne: corrections are "
         "held; synchronise the clocks (trigpoint doctor)"
     ]
+    assert desk.node.health.report().values[CLOCK_OFF_BY] == "-0.020"
     desk.ahead_ns = -1_000_000
     for _ in range(8):
         desk.watch.ask()
     assert not desk.watch.is_off
+    assert CLOCK_OFF_BY not in desk.node.health.report().values
     assert desk.node.health.held == {}
     desk.ahead_ns = -2_000_000_000
     for _ in range(8):

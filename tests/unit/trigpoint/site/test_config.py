@@ -36,11 +36,6 @@ def test_unknown_key_names_line_and_nearest_key() -> None:
     )
 
 
-def test_unknown_key_of_a_camera_names_the_camera() -> None:
-    text = site_text(more='[cameras.c7]\nsource = "sim://c7"\nwidht = 3')
-    assert "cameras.c7.widht is not a known key; did you mean «width»?" in refusal(text)
-
-
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
@@ -92,11 +87,6 @@ def test_absent_camera_and_robot_list_the_known_ones() -> None:
         site.camera("c9")
     with pytest.raises(ConfigError, match="no robot «r9» in the site file; it has r1"):
         site.robot("r9")
-
-
-def test_absent_site_file_names_its_path(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"site\.toml: there is no such site file"):
-        load_site(tmp_path / "site.toml")
 
 
 def test_site_file_that_is_no_text_is_refused(tmp_path: Path) -> None:

@@ -55,10 +55,6 @@ def _datagrams(main: Session, beside: Session, fresh: Session):
     datagrams.close()
 
 
-def test_a_whole_one_is_well(datagrams: Datagrams) -> None:
-    assert datagrams._is_well()
-
-
 def test_one_that_only_has_its_stream_is_not(datagrams: Datagrams, beside: Session) -> None:
     beside.to = [("hall", STREAM)]
     assert not datagrams._is_well()

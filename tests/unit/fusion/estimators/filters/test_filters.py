@@ -83,8 +83,13 @@ def test_every_camera_is_found_where_it_is(drive: Session, found: Results) -> No
     assert sum(camera.rejected for camera in found.network.cameras.values()) == 0
 
 
-def test_it_agrees_with_the_smoother(drive: Session, found: Results) -> None:
-    best = pushed(by(drive.inputs, "smoother"), drive.messages).results()
+@pytest.fixture(scope="module")
+def best(drive: Session) -> Results:
+    """What the smoother makes of it."""
+    return pushed(by(drive.inputs, "smoother"), drive.messages).results()
+
+
+def test_it_agrees_with_the_smoother(best: Results, found: Results) -> None:
     for name, record in best.network.cameras.items():
         mine = found.network.cameras[name]
         assert mine.map_from_camera is not None

@@ -261,5 +261,5 @@ def test_a_floor_plan_lies_under_the_map_within_the_page() -> None:
     sources = [value for name, value in read_page(page).attributes if name == "href"]
     assert any(value.startswith("data:image/png;base64,") for value in sources)
     text = words(page)
-    assert "is at (10.000, 10.000, 0.000) m of «hall»" in text
+    assert "The map in hall: (10.000, 10.000, 0.000) m" in text
     assert "dock is not located" in text

@@ -1,21 +1,26 @@
-"""Pictures of one board as the world shows it, with the truth.
+"""Our detectors against OpenCV's on pictures of one board as the world shows it, one thread each:
+faces found, corners found of those found, corners against the truth.
 
 A photograph behind it, a wide lens or a fisheye, paper that curls, a reflection upon it,
 sharpening, JPEG. Each is a pure function of its kind and number.
 """
 
+from functools import partial
+
 import cv2
 import numpy as np
 from msgspec import Struct
 
+from benchmarks.table import Row, share_of
 from trigpoint.geometry.rotation import Array
 from trigpoint.site.target import NOWHERE, Face, Pattern, Target
 from trigpoint.tools.simulation.drawing.textures import texture
 from trigpoint.tools.simulation.sight.seen_corners import smallest_square
 
+from .detection import OURS, one_thread, opencv_finders, our_finder, runs
 from .photographs import backgrounds
+from .scoring import Found, score_of, score_rows, sigma_row
 from .views import LEAST_SQUARE_PX, TrueFace, View
-from .world_lenses import WorldLens
 
 _Random = np.random.Generator
 FACES = {
@@ -24,12 +29,15 @@ FACES = {
         0, Pattern.CHARUCO, 7, 5, 0.04, *NOWHERE, marker=0.03, dictionary="DICT_4X4_50"
     ),
 }
+_VIEWS = 24
+_row = partial(Row, "world")
 # Rays along each side of a pixel.
 _FINE = 3
 _TEXELS = 96
 _MARGIN_PX = 6
 # How often the place where a ray meets a curled sheet is mended.
 _MEETINGS = 5
+_NEWTON_STEPS = 8
 
 
 class Kind(Struct, frozen=True):
@@ -55,6 +63,35 @@ KINDS = {
     "sharpened, JPEG": Kind((640, 360), 90, 0.2, sharpening=1.2, quality=50),
     "small": Kind((270, 180), 90, 0.1, sharpening=0.5, quality=80),
 }
+
+
+def run(effort: float = 1.0) -> list[Row]:
+    """Both patterns, every kind of picture."""
+    count = share_of(_VIEWS, effort, least=2)
+    with one_thread():
+        return [row for choice in FACES for kind in KINDS for row in _rows(choice, kind, count)]
+
+
+def _rows(choice: str, kind: str, count: int) -> list[Row]:
+    """Recall and accuracy beside each of OpenCV's ways; a sigma beside a true one."""
+    views, target = world_views(choice, kind, count), target_of(choice)
+    others = opencv_finders(target, choice)
+    done = runs({OURS: our_finder(target)} | others, views)
+    scores = {name: score_of(views, run.answers) for name, run in done.items()}
+    ours, what, rows = scores[OURS], f"{choice}, {kind}", []
+    share = 100 * _corner_share(views, done[OURS].answers)
+    rows.append(_row(f"{what}, corners found", "%", share, 100.0, "all", more_is_better=True))
+    for name in others:
+        rows += score_rows(_row, what, ours, scores[name], name)
+        took = (done[OURS].milliseconds, done[name].milliseconds)
+        rows.append(_row(f"{what}, first search", "ms", *took, name))
+    return [*rows, sigma_row(_row, what, ours)]
+
+
+def _corner_share(views: list[View], answers: list[list[Found]]) -> float:
+    """Of all corners of the faces, how many are found."""
+    all_of_them = sum(true.face.corner_count for view in views for true in view.faces)
+    return sum(len(found.corners) for answer in answers for found in answer) / all_of_them
 
 
 def target_of(choice: str) -> Target:
@@ -86,6 +123,46 @@ def _view(face: Face, kind: Kind, random: _Random) -> View:
         soft, (right - left, bottom - top), interpolation=cv2.INTER_AREA
     )
     return View(_developed(light, kind, random), (TrueFace(face, pixels, True),))
+
+
+class WorldLens(Struct, frozen=True):
+    """A lens of a camera that watches a room: a ray at an angle t from the axis is `focal_px`
+    (t + bulge t³) from `middle`, pixels. A bulge of 1/3 is nearly a lens without distortion, 0 an
+    even fisheye, less than 0 a stronger one."""
+
+    size: tuple[int, int]
+    focal_px: float
+    bulge: float
+    middle: tuple[float, float]
+
+    @classmethod
+    def of(
+        cls, size: tuple[int, int], diagonal_deg: float, bulge: float, aside: Array
+    ) -> "WorldLens":
+        """A lens that sees so much from corner to corner; `aside`: (2,) how far its centre is from
+        the picture's, of the diagonal."""
+        angle, diagonal = np.radians(diagonal_deg) / 2, float(np.hypot(*size))
+        focal = diagonal / 2 / (angle + bulge * angle**3)
+        x, y = (np.array(size) - 1) / 2 + aside * diagonal
+        return cls(size, float(focal), bulge, (float(x), float(y)))
+
+    def project(self, points: Array) -> Array:
+        """Pixels (n, 2) of points (n, 3) in the camera's frame."""
+        across = np.linalg.norm(points[:, :2], axis=1)
+        angle = np.arctan2(across, points[:, 2])
+        radius = self.focal_px * (angle + self.bulge * angle**3)
+        return np.array(self.middle) + points[:, :2] * (radius / np.maximum(across, 1e-12))[:, None]
+
+    def rays(self, pixels: Array) -> Array:
+        """Unit vectors (…, 3) of pixels (…, 2)."""
+        flat = (pixels - np.array(self.middle)) / self.focal_px
+        radius = np.linalg.norm(flat, axis=-1)
+        angle = radius.copy()
+        for _ in range(_NEWTON_STEPS):
+            error = angle + self.bulge * angle**3 - radius
+            angle -= error / np.maximum(1 + 3 * self.bulge * angle**2, 0.1)
+        share = np.where(radius > 0, np.sin(angle) / np.maximum(radius, 1e-12), 1.0)
+        return np.concatenate([flat * share[..., None], np.cos(angle)[..., None]], axis=-1)
 
 
 class _Sheet(Struct, frozen=True, eq=False):
