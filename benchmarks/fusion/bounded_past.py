@@ -30,7 +30,7 @@ from trigpoint.fusion.model.problem import CameraState, State
 from trigpoint.fusion.model.readings import Readings
 from trigpoint.fusion.pipeline import Pipeline
 from trigpoint.fusion.replaying import replayed
-from trigpoint.fusion.solver.relinearisation import solve_consistently
+from trigpoint.fusion.solver.levenberg_marquardt import solve_consistently
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.map.network import Network

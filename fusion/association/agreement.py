@@ -8,8 +8,7 @@ from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.uncertainty import lever, turned_axes
 from trigpoint.native.library import In, Kernel, Out
 
-from .factor import Factor
-from .graph import Graph, Place, Placed
+from .graph import Factor, Graph, Place, Placed
 
 _REAL = np.float64
 AGREEMENT = Kernel(
@@ -61,12 +60,12 @@ def _given(graph: Graph, placed: Placed, which: int | Place) -> tuple[np.ndarray
     if not isinstance(which, int):
         rows = placed.layout.places[which]
         return placed.poses[[placed.layout.at[which]]], rows, _THERE, _EXACTLY, _NO_EVIDENCE
-    robot, node = graph.visits[which].visit.robot, graph.node_of[which]
+    robot, node, modes = graph.visits[which].visit.robot, graph.node_of[which], graph.modes[which]
     rows = np.full(6, -1)
     rows[graph.paths[robot].tangent] = placed.layout.nodes[robot][node]
     return (
-        *(placed.poses[[placed.layout.first[robot] + node]], rows, graph.seen_rows(which)),
-        *(graph.spread(which), graph.evidence(which)),
+        *(placed.poses[[placed.layout.first[robot] + node]], rows, modes.base_from_camera.rows()),
+        *(modes.covariance, modes.evidence),
     )
 
 
@@ -74,8 +73,8 @@ def seen_by(graph: Graph, placed: Placed, number: int) -> Seen:
     """Return where the modes of a visit put its camera, given the graph's estimate."""
     robot, node = graph.visits[number].visit.robot, graph.node_of[number]
     base, tangent = placed.node(robot, node), graph.paths[robot].tangent
-    pose = base @ graph.relative(number)[0]
+    pose = base @ graph.modes[number].base_from_camera
     by_base = lever(pose.translation - base.translation)
     turn = turned_axes(base.rotation)
-    own = turn @ graph.spread(number) @ turn.T
+    own = turn @ graph.modes[number].covariance @ turn.T
     return Seen(pose, by_base[..., tangent], placed.layout.nodes[robot][node], own)

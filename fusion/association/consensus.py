@@ -52,11 +52,11 @@ _COSTS = Kernel(
 
 
 class Start(Struct, frozen=True):
-    """A camera pose to start from. `wrong`: by index of a picture, which of its views are taken to
-    be wrong."""
+    """A camera pose to start from. `wrong` (v,): which views of all pictures are taken to be
+    wrong."""
 
     map_from_camera: Pose
-    wrong: dict[int, tuple[bool, ...]]
+    wrong: np.ndarray
 
 
 class Ways(Struct, frozen=True):
@@ -91,9 +91,6 @@ def starts_of(
     `poses`: by index, where odometry puts the robot; `drift` (p, p, 6, 6): the covariance of
     odometry between each two pictures, in the map's axes.
     """
-    sightings = [
-        (index, order) for index, o in observations.items() for order in range(len(o.views))
-    ]
     ways = _ways(data, observations)
     if ways is None:
         return []
@@ -102,7 +99,8 @@ def starts_of(
     cameras = there[ways.picture[seeds]] @ ways.camera_from_base[seeds].inverse()
     first = next(iter(observations.values()))
     extra = _of_pictures(data, first, observations, there)
-    cost = start_costs(ways, seeds, len(sightings), there, extra, drift, events)
+    count = sum(len(observation.views) for observation in observations.values())
+    cost = start_costs(ways, seeds, count, there, extra, drift, events)
     total = cost.sum(axis=1) + ways.excess[seeds]
     found: list[Start] = []
     is_open = np.ones(len(cameras), dtype=bool)
@@ -113,7 +111,7 @@ def starts_of(
             is_wrong = cost >= limit
             alike = np.all(is_wrong == is_wrong[row], axis=1)
             is_open &= ~(alike & are_same_pose(cameras, cameras[row]))
-            found.append(Start(cameras[row], _wrong(observations, sightings, is_wrong[row])))
+            found.append(Start(cameras[row], is_wrong[row]))
     return found
 
 
@@ -149,18 +147,6 @@ def _seeds(ways: Ways) -> np.ndarray:
     sightings = unique(ways.sighting)
     sightings = sightings[thinned(len(sightings), MOST_SEEDS)]
     return np.flatnonzero(np.isin(ways.sighting, sightings))
-
-
-def _wrong(
-    observations: dict[int, Observation],
-    sightings: list[tuple[int, int]],
-    is_wrong: np.ndarray,
-) -> dict[int, tuple[bool, ...]]:
-    flags = dict(zip(sightings, is_wrong.tolist(), strict=True))
-    return {
-        index: tuple(flags[index, order] for order in range(len(o.views)))
-        for index, o in observations.items()
-    }
 
 
 def _ways(data: DataSet, observations: dict[int, Observation]) -> Ways | None:

@@ -19,18 +19,36 @@ from trigpoint.geometry import Pose
 from trigpoint.geometry.pose import rows_of
 from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.uncertainty import turned_axes
+from trigpoint.native.library import Handle, In, Kernel, Out
 
 from .events import Events
-from .factor import Factor
 from .linear import HELD
 from .mode import Mode, VisitModes
-from .path import Picture, RobotPath, VisualStep, Way, visual_step, watched_step
+from .path import Picture, RobotPath, VisualStep, visual_step, watched_step
 
 _CLOCK_SIGMAS = 5.0
 Place = tuple[str, int]
 """A camera and the number of one of its places, counted from 0 in order of time."""
 Break = tuple[str, int]
 """A robot and the node after which it was lifted."""
+
+
+class Factor(Handle):
+    """The factorised information matrix of a graph at its minimum."""
+
+    name = "tp_factor"
+
+    def covariance(self, rows: np.ndarray) -> Array:
+        """Return the marginal covariance (k, k) of the unknowns in these rows. Raises RuntimeError
+        where nothing is factorised, or a row is none of its unknowns."""
+        found = np.empty((len(rows), len(rows)))
+        _COVARIANCE(self, np.ascontiguousarray(rows, dtype=np.int64), found)
+        return found
+
+
+_COVARIANCE = Kernel(
+    "tp_factor_covariance", Factor, In(np.int64, ("k",)), Out(np.float64, ("k", "k"))
+)
 
 
 class Tie(Struct, frozen=True):
@@ -92,10 +110,24 @@ class Variant(Struct, frozen=True):
     near: Placed | None = None
 
 
+class Modes(Struct, frozen=True):
+    """What the modes (k) of a visit say, in the axes of the robot at its beginning:
+    `base_from_camera` (k), with the `information` (k, q, q) of the pose and of the camera's own
+    unknowns, the `covariance` (k, 6, 6) of the pose, the values of the others, `own` (k, o), and
+    the `evidence` (k,) of each (`Mode.evidence`)."""
+
+    base_from_camera: Pose
+    information: Array
+    covariance: Array
+    own: Array
+    evidence: Array
+
+
 class Graph:
     """What the pose graphs of all explanations of one session's visits are made of; `minimum`
-    solves them. `odometry` (n, 12): all robots' nodes by odometry alone; `known_rows` (n, 12),
-    `known_information` (n, 6, 6): of each camera that is known from before, by itself."""
+    solves them. `modes`: of each visit; `odometry` (n, 12): all robots' nodes by odometry alone;
+    `known_rows` (n, 12), `known_information` (n, 6, 6): of each camera that is known from before,
+    by itself."""
 
     def __init__(self, data: DataSet, visits: list[VisitModes], events: Events) -> None:
         self.data, self.visits, self.events = data, visits, events
@@ -127,17 +159,8 @@ class Graph:
             for seen in steps.values()
             for each in seen
         }
-        self._ways: dict[tuple[str, frozenset[int]], Way] = {}
-        self._relative = [self._seen_from(number, v.modes) for number, v in enumerate(visits)]
-        self._seen_rows = [seen.rows() for seen, _ in self._relative]
+        self.modes = [self._modes_of(number) for number in range(len(visits))]
         self.odometry = rows_of(path.odometry for path in self.paths.values())
-        self._own_values = [
-            np.array([own_values(data, v.visit.camera, mode) for mode in v.modes]) for v in visits
-        ]
-        self._covariance = [
-            np.ascontiguousarray(np.linalg.inv(one)[:, :6, :6]) for _, one in self._relative
-        ]
-        self._evidence = [np.array([mode.evidence for mode in v.modes]) for v in visits]
         self.own_prior = {
             camera: prior
             for camera in dict.fromkeys(v.visit.camera for v in visits)
@@ -186,14 +209,6 @@ class Graph:
         """Return those of these visits that would show a step, were they not wrong."""
         return nothing & self._showing
 
-    def way(self, robot: str, nothing: frozenset[int]) -> Way:
-        """Return a robot's steps as odometry and all visits but `nothing` show them."""
-        silent = self.silent(nothing)
-        if (robot, silent) not in self._ways:
-            way = Way.of(self.paths[robot]).with_seen(self.seen(robot, silent))
-            self._ways[robot, silent] = way
-        return self._ways[robot, silent]
-
     def seen(self, robot: str, nothing: frozenset[int]) -> dict[int, VisualStep]:
         """Return, by step of a robot, the most precise motion that a visit other than `nothing`
         shows."""
@@ -208,23 +223,25 @@ class Graph:
         """Whether a visit shows a step of its robot more precisely than odometry does."""
         return number in self._showing
 
-    def _seen_from(self, number: int, modes: Sequence[Mode]) -> tuple[Pose, Array]:
-        """Return a visit's modes (k) relative to the robot's pose at its beginning:
-        base_from_camera, and the information (k, q, q) in the robot's axes.
-
-        A mode holds the camera's pose relative to where the robot was when the first picture was
-        taken, by the time offset at which its estimation started.
-        """
-        robot = self.visits[number].visit.robot
-        start = self.paths[robot].odometry[self.node_of[number]]
+    def _modes_of(self, number: int) -> Modes:
+        """Return what a visit's modes say. A mode holds the camera's pose relative to where the
+        robot was when the first picture was taken, by the time offset at which its estimation
+        started."""
+        visit, modes = self.visits[number].visit, self.visits[number].modes
+        own = np.array([own_values(self.data, visit.camera, mode) for mode in modes])
+        evidence = np.array([mode.evidence for mode in modes])
         if not modes:
-            return Pose.stack([]), np.zeros((0, 6, 6))
+            nothing = np.zeros((0, 6, 6))
+            return Modes(Pose.stack([]), nothing, nothing, own, evidence)
+        start = self.paths[visit.robot].odometry[self.node_of[number]]
         back = self.seen_since(number, modes)
         turn = np.tile(np.eye(modes[0].information.shape[-1]), (len(modes), 1, 1))
         turn[:, :6, :6] = turned_axes(back.rotation @ start.rotation.T)
         information = np.array([mode.information for mode in modes])
         seen = back @ start.inverse() @ Pose.stack([mode.map_from_camera for mode in modes])
-        return seen, turn @ information @ np.swapaxes(turn, 1, 2)
+        information = turn @ information @ np.swapaxes(turn, 1, 2)
+        covariance = np.ascontiguousarray(np.linalg.inv(information)[:, :6, :6])
+        return Modes(seen, information, covariance, own, evidence)
 
     def seen_since(self, number: int, modes: Sequence[Mode]) -> Pose:
         """Return the robot's motion (k) from the stamp of a visit's first picture to the moment at
@@ -233,27 +250,6 @@ class Graph:
         moments = np.full(len(modes), path.stamps_ns[self.node_of[number]])
         early_s = np.array([mode.early_s for mode in modes])
         return path.track.carried(moments, -early_s, np.zeros(2))[0]
-
-    def relative(self, number: int) -> tuple[Pose, Array]:
-        """Return base_from_camera (k) of a visit's modes, and their information (k, q, q)."""
-        return self._relative[number]
-
-    def seen_rows(self, number: int) -> Array:
-        """Return base_from_camera of a visit's modes, (k, 12)."""
-        return self._seen_rows[number]
-
-    def own_values(self, number: int) -> Array:
-        """Return the values (k, o) of the camera's lens and clock that a visit's modes estimate."""
-        return self._own_values[number]
-
-    def spread(self, number: int) -> Array:
-        """Return the covariance (k, 6, 6), in the robot's axes, of the camera's pose by each mode
-        of a visit."""
-        return self._covariance[number]
-
-    def evidence(self, number: int) -> Array:
-        """Return the evidence (k,) of each mode of a visit (`Mode.evidence`)."""
-        return self._evidence[number]
 
     def room(self, path: RobotPath) -> Array:
         """Return the prior variances (d,) of where a robot may be put down in the room."""

@@ -12,9 +12,8 @@ from .linear import Linear
 from .local import LocalProblem
 from .memory import Memory
 from .mode import Mode
-from .modes import ModeFinder, wrong_by
-from .noise import PESSIMISTIC, STATED, Noise, on_a_floor
-from .session_noise import with_noise
+from .modes import ModeFinder
+from .noise import PESSIMISTIC, STATED, Noise, on_a_floor, with_noise
 from .variances import corner_scale, learn
 from .visits import Visit, telling, telling_of_lenses, visits_of
 
@@ -122,9 +121,9 @@ def _shown(
     nothing. `finder`: with pessimistic noise, under which modes are solved."""
     events, odometry = finder.events, finder.odometry(visit)
     unscored = {index: (0.0,) * len(picture.views) for index, picture in pictures.items()}
-    more = LocalProblem(
-        finder.data, pictures, odometry, unscored, events, finder.memory.budget
-    ).mode_near(mode.camera, wrong_by(mode))
+    budget = finder.memory.budget
+    problem = LocalProblem(finder.data, pictures, odometry, unscored, events, budget)
+    more = problem.mode_near(mode.camera, problem.wrong_by(mode))
     if more is None:
         return None
     return LocalProblem(data, pictures, odometry, {}, events).residuals(more)

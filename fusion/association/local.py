@@ -4,22 +4,24 @@ visit's pictures and the odometry between them allow."""
 from typing import TypeVar
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.linalg import LinAlgError
 
 from trigpoint.fusion.model.assembly import Assembled
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.gates import HUBER_SIGMAS
+from trigpoint.fusion.model.jitter import Jitter
 from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.model.problem import CameraState, Problem, State
 from trigpoint.fusion.solver.equations import System
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.uncertainty import symmetric
+from trigpoint.native.library import In, Kernel, Out
 
 from .budget import Budget
-from .events import Events
-from .linear import Linear, linearised, log_priors, unknowns_of
-from .masks import likeliest_wrong
+from .events import Events, window
+from .linear import EQUATIONS, Linear, linearised, log_priors, unknowns_of
 from .mode import Mode
 from .trial import Ending, Pictures, Trial, Work
 
@@ -27,6 +29,19 @@ _MOST_ROUNDS = 10
 _PATIENCE = 2
 _ROUND = Work.READ | Work.SOLVE | Work.JUDGE
 _FIRST = _ROUND | Work.ROBUST
+# Accepting a right sighting early improves the score by seventy or so, but only once others agree
+# with it. So the score of a partial hypothesis tells little, and as many hypotheses are carried on
+# as six sightings have subsets.
+_MOST = 64
+_MOST_TOLD = 3
+_REAL = np.float64
+_LIKELIEST = Kernel(
+    "tp_likeliest_wrong",
+    *EQUATIONS,
+    *(In(_REAL, ("m", "d", "d")), In(_REAL, (6,))),
+    *(float, float),
+    *(Out(_REAL, ("k",)), Out(np.bool_, ("k", "n"))),
+)
 Flag = TypeVar("Flag")
 
 
@@ -59,15 +74,15 @@ class LocalProblem:
     def mode_near(
         self,
         start: CameraState,
-        wrong: dict[int, tuple[bool, ...]],
+        wrong: np.ndarray,
         most_wrong: int | None = None,
     ) -> Mode | None:
         """The mode that the iteration reaches from a camera near `start`; None where nothing fits.
 
-        `wrong`: by index, which views are taken as wrong at the start; `most_wrong`: the search is
+        `wrong` (v,): which views are taken as wrong at the start; `most_wrong`: the search is
         given up where more views than this are still wrong after `_PATIENCE` rounds.
         """
-        trial = Trial(self._pictures, start, self.poses, self._flags(wrong))
+        trial = Trial(self._pictures, start, self.poses, wrong.copy())
         seen, is_settled = set[tuple[bytes, ...]](), False
         for round_ in range(_MOST_ROUNDS):
             if round_ == 0:
@@ -92,11 +107,10 @@ class LocalProblem:
             self.budget.spend_solving(steps=trial.iterations, corners=self._corners)
         return ending
 
-    def _flags(self, wrong: dict[int, tuple[bool, ...]]) -> np.ndarray:
-        """Which views (v,) are wrong, by what is so by index; none of a picture that is left
-        out."""
-        rows = [wrong.get(i, (False,) * len(o.views)) for i, o in self.observations.items()]
-        return np.array([flag for row in rows for flag in row], dtype=bool)
+    def wrong_by(self, mode: Mode) -> np.ndarray:
+        """Which views (v,) a mode takes as wrong; none of a picture that it does not have."""
+        rows = [mode.readings.get(i, o.views) for i, o in self.observations.items()]
+        return np.array([reading is None for row in rows for reading in row], dtype=bool)
 
     def _by_index(self, flags: list[Flag]) -> dict[int, tuple[Flag, ...]]:
         """What is said of each view, by index of its picture."""
@@ -111,17 +125,18 @@ class LocalProblem:
         mode has as wrong; None where that tells nothing about the noise."""
         views = self._pictures.views
         readings = [reading for row in mode.readings.values() for reading in row]
-        wrong = np.array([reading is None for reading in readings])
-        trial = Trial(self._pictures, mode.camera, self._stood(mode), wrong)
+        trial = Trial(self._pictures, mode.camera, self._stood(mode), self.wrong_by(mode))
         chosen = zip(views, readings, strict=True)
         trial.chosen[:] = [view.readings.index(r) if r is not None else 0 for view, r in chosen]
         trial.wild[:] = np.concatenate([wild for row in mode.wild.values() for wild in row])
         return linearised(trial, by_pictures=True)
 
-    def likeliest_wrong(self, mode: Mode) -> list[dict[int, tuple[bool, ...]]]:
-        """The likeliest sets of wrong sightings, best first, by the visit linearised about a mode.
-        Judged one after the other they would never be found, since several agree by chance."""
-        trial = Trial(self._pictures, mode.camera, self._stood(mode), self._flags({}))
+    def likeliest_wrong(self, mode: Mode) -> list[np.ndarray]:
+        """The likeliest sets of wrong views, (v,) bool each, best first, by the visit linearised
+        about a mode. Judged one after the other they would never be found, since several agree by
+        chance."""
+        none = np.zeros(len(self._pictures.views), dtype=bool)
+        trial = Trial(self._pictures, mode.camera, self._stood(mode), none)
         if trial.round(Work.READ) is Ending.NOTHING_FITS:
             return []
         linear = linearised(trial, by_pictures=False)
@@ -132,7 +147,7 @@ class LocalProblem:
         for flags in likeliest_wrong(linear, self.data.jitter.get(self.robot), self.events):
             wrong = np.ones(len(trial.wrong), dtype=bool)
             wrong[linear.parts] = flags
-            found.append(self._by_index(wrong.tolist()))
+            found.append(wrong)
         return found
 
     def _stood(self, mode: Mode) -> Pose:
@@ -199,3 +214,27 @@ class LocalProblem:
     def _left_out_score(self, trial: Trial) -> float:
         wild = np.bincount(self._pictures.view_of, trial.wild, len(trial.wrong))
         return float(np.where(trial.wrong, self._wrong_scores, self.events.wild_score * wild).sum())
+
+
+def likeliest_wrong(
+    linear: Linear, jitter: Jitter | None, events: Events
+) -> list[tuple[bool, ...]]:
+    """The likeliest sets of wrong parts of a visit, as n flags each, best first.
+
+    Sightings that are judged one after the other can mask each other: two that are displaced alike
+    make the right one between them look wrong. To first order a visit is one linear Gaussian model,
+    in which each hypothesis (which of the sightings so far are wrong) is a Kalman filter of the
+    robot's pose and of the camera; the likeliest are carried on from sighting to sighting.
+
+    `jitter`: how far the robot's pose in each picture deviates from what odometry says.
+    """
+    if jitter is not None:
+        linear = replace(linear, own=linear.own + np.diag(jitter.variances))
+    scores, flags = np.empty(_MOST), np.empty((_MOST, len(linear.parts)), dtype=bool)
+    kept = _LIKELIEST(
+        *linear.equations,
+        *(linear.spread, events.room_variances, events.wrong_limit, events.pose_score),
+        *(scores, flags),
+    )
+    near = scores[:kept] < scores[0] + window()
+    return [tuple(row) for row in flags[:kept][near][:_MOST_TOLD].tolist()]

@@ -1,7 +1,7 @@
 """The minimum of an explanation's graph, found by the core (`native/src/fusion/graph.cpp`)."""
 
 from collections import Counter
-from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from msgspec import Struct
@@ -10,11 +10,9 @@ from trigpoint.geometry.pose import rows_of
 from trigpoint.geometry.rotation import Array
 from trigpoint.native.library import In, Kernel, Out
 
-from .factor import Factor
-from .graph import Graph, Layout, Place, Placed, Variant
-from .initial_values import initial_poses
+from .graph import Factor, Graph, Layout, Place, Placed, Tie, Variant
 from .linear import HELD
-from .path import Steps, in_all_axes
+from .path import Steps, VisualStep, in_all_axes
 
 # The bound of scale errors: no odometry is so far off, and a step beyond it comes from where the
 # linearisation is not valid.
@@ -22,6 +20,8 @@ _FAR_OFF = 0.9
 # How often a minimum is searched with the motions of another scale error than before.
 _MOST_SCALES = 4
 _REAL, _WHOLE = np.float64, np.int64
+Ties = list[tuple[int, Tie]]
+"""Visits, in order, and what is used of each."""
 MINIMUM = Kernel(
     "tp_graph_minimum",
     Factor,
@@ -34,6 +34,13 @@ MINIMUM = Kernel(
     *(In(_WHOLE, ("k", 4)), In(_REAL, ("k", 12)), In(_REAL, ("k", "q", "q"))),
     In(_REAL, ("k", "o")),
     Out(_REAL, (2,)),
+)
+
+
+START = Kernel(
+    "tp_graph_start",
+    *(Out(_REAL, ("n", 12)), In(_WHOLE, ("n", 2)), In(_WHOLE, ("r", 4))),
+    *(In(_WHOLE, ("k", 4)), In(_REAL, ("k", 12)), In(_WHOLE, ("k",))),
 )
 
 
@@ -57,10 +64,23 @@ class _Terms(Struct, frozen=True):
 class _Way(Struct, frozen=True):
     """The motions (m) between one robot's nodes: by odometry, or by a visit that shows one more
     precisely; where the robot was lifted, by a visit alone, if one shows it. `terms`: as the core
-    takes them; `log_covariance` (m,): what their noise adds to the score."""
+    takes them, the ends (m, 4), motions (m, 12), their information (m, 6, 6), derivatives by the
+    scale errors (m, 6, 2) and about which of these (m, 2); `log_covariance` (m,): what their noise
+    adds to the score."""
 
     terms: tuple[np.ndarray, Array, Array, Array, Array]
     log_covariance: Array
+
+    def copy(self) -> "_Way":
+        ends, motion, information, by_scale, about = (part.copy() for part in self.terms)
+        return _Way((ends, motion, information, by_scale, about), self.log_covariance.copy())
+
+    def take(self, step: int, shown: VisualStep) -> None:
+        """Take a step as a visit shows it."""
+        _, motion, information, by_scale, about = self.terms
+        motion[step], information[step] = shown.motion.rows(), shown.information
+        by_scale[step], about[step] = shown.by_scale, 0.0
+        self.log_covariance[step] = shown.log_covariance - shown.surprise
 
 
 class Minima:
@@ -82,24 +102,20 @@ class Minima:
         ]
         # Every mode of every visit: what it ties, and how well.
         self._mode = np.cumsum([0, *(len(found.modes) for found in visits)]).tolist()
-        self._seen = np.concatenate([np.zeros((0, 12)), *map(graph.seen_rows, range(len(visits)))])
+        self._seen = rows_of(modes.base_from_camera for modes in graph.modes)
         most = max((len(mean) for mean, _ in graph.own_prior.values()), default=0)
         self._own = np.zeros((len(self._seen), most))
         self._information = np.zeros((len(self._seen), 6 + most, 6 + most))
         self._score = np.array([mode.score for found in visits for mode in found.modes], _REAL)
-        for number in range(len(visits)):
-            mine, own = slice(*self._mode[number : number + 2]), graph.own_values(number)
-            if mine.stop > mine.start:
-                size = 6 + own.shape[1]
-                self._own[mine, : own.shape[1]] = own
-                self._information[mine, :size, :size] = graph.relative(number)[1]
+        for first, end, modes in zip(self._mode, self._mode[1:], graph.modes, strict=False):
+            if end > first:
+                size = 6 + modes.own.shape[1]
+                self._own[first:end, : size - 6] = modes.own
+                self._information[first:end, :size, :size] = modes.information
 
-    def placed(self, variants: Sequence[Variant]) -> list[Placed | None]:
-        """Return the minimum of each variant's graph; None where it is not determined."""
-        return [self._minimum(variant) for variant in variants]
-
-    def _minimum(self, variant: Variant) -> Placed | None:
-        """Return the minimum; None where it is not determined, or its score is not finite."""
+    def placed(self, variant: Variant) -> Placed | None:
+        """Return the minimum of a variant's graph; None where it is not determined, or its score is
+        not finite."""
         graph, ties = self.graph, sorted(variant.ties.items())
         places = [(graph.visits[n].visit.camera, tie.place) for n, tie in ties]
         terms = self._terms_of(frozenset(places))
@@ -163,39 +179,34 @@ class Minima:
     def _unbroken(
         self, robot: str, layout: Layout, nothing: frozenset[int], by_odometry: Steps
     ) -> _Way:
-        way, count = self.graph.way(robot, nothing), len(by_odometry.motion)
+        path, count = self.graph.paths[robot], len(by_odometry.motion)
         ends = np.zeros((count, 4), _WHOLE)
         ends[:, 0] = layout.first[robot] + np.arange(count)
         ends[:, 1], ends[:, 2] = ends[:, 0] + 1, -1
         if robot in layout.scales:
             ends[:, 2] = 2 * list(layout.scales).index(robot)
         motion, by_scale = by_odometry.motion.rows(), by_odometry.by_scale.copy()
-        about = np.tile(by_odometry.about, (count, 1))
-        motion[way.steps], by_scale[way.steps], about[way.steps] = (
-            *(way.motion.rows(), way.by_scale),
-            0.0,
-        )
-        information = way.information.copy()
-        return _Way((ends, motion, information, by_scale, about), way.log_covariance)
+        about, information = np.tile(by_odometry.about, (count, 1)), path.information.copy()
+        way = _Way((ends, motion, information, by_scale, about), path.log_covariance.copy())
+        for step, shown in self.graph.seen(robot, nothing).items():
+            way.take(step, shown)
+        return way
 
     def _broken(self, way: _Way, robot: str, nothing: frozenset[int], gaps: list[int]) -> _Way:
         """Return a way with these steps, in which the robot was lifted: each as a visit shows it
         across the lift, or else unknown."""
         if not gaps:
             return way
-        anywhere, log_room = self._room[robot]
-        ends, motion, information, by_scale, about = (part.copy() for part in way.terms)
-        log_covariance = way.log_covariance.copy()
-        log_covariance[gaps] = log_room
+        way, (anywhere, log_room) = way.copy(), self._room[robot]
+        ends, _, information, *_ = way.terms
         for step in gaps:
             across = self.graph.across((robot, step), nothing)
             if across is None:  # only the prior of the room keeps it determined
-                ends[step, 3], information[step] = 1, anywhere
-                continue
-            motion[step], by_scale[step], about[step] = across.motion.rows(), across.by_scale, 0.0
-            information[step] = across.information
-            log_covariance[step] += across.log_covariance - across.surprise
-        return _Way((ends, motion, information, by_scale, about), log_covariance)
+                ends[step, 3], information[step], way.log_covariance[step] = 1, anywhere, log_room
+            else:
+                way.take(step, across)
+                way.log_covariance[step] += log_room
+        return way
 
     def _terms_of(self, places: frozenset[Place]) -> _Terms:
         if places not in self._terms:
@@ -251,3 +262,46 @@ class Minima:
             np.concatenate([rows_of(expected), graph.known_rows]),
             np.concatenate([np.array(information).reshape(-1, 6, 6), graph.known_information]),
         )
+
+
+def initial_poses(
+    graph: Graph, layout: Layout, variant: Variant, ties: Ties, ends: np.ndarray, seen: Array
+) -> Array:
+    """Return the initial poses (n, 12) of a layout: as in the graph that the variant is near, or
+    else by odometry, with the parts that new ties constrain moved to their first ones.
+
+    `ties`: the variant's (k); `ends` (k, 4): first the two poses that each ties; `seen` (k, 12):
+    the second, as seen from the first.
+    """
+    near = variant.near
+    poses = np.concatenate([graph.odometry, np.zeros((len(layout.at), 12))])
+    begun, settled = np.zeros((len(poses), 2), _WHOLE), {}
+    if near is not None:
+        lifted = {robot for robot, _ in near.breaks - variant.breaks}
+        for robot, first in layout.first.items():
+            mine = slice(first, first + len(graph.paths[robot].stamps_ns))
+            if robot not in lifted:
+                poses[mine] = near.poses[mine]
+        if not lifted:  # else where it put cameras is not known any more
+            settled = near.ties
+            for place in layout.at.keys() & near.layout.at.keys():
+                poses[layout.at[place]] = near.poses[near.layout.at[place]]
+                begun[layout.at[place], 1] = 1
+    known = [layout.at[camera, 0] for camera in graph.data.known.poses]
+    poses[known], begun[known, 0] = graph.known_rows, 1
+    is_new = [settled.get(number) != tie for number, tie in ties]
+    START(poses, begun, _parts(graph, layout, variant), ends, seen, np.array(is_new, _WHOLE))
+    return poses
+
+
+def _parts(graph: Graph, layout: Layout, variant: Variant) -> np.ndarray:
+    """Return the parts (r, 4) of the robots' paths between lifts, the anchored robot's first: its
+    poses, whether it begins where it has to, whether it is in the plane."""
+    found = []
+    for robot in sorted(graph.paths, key=lambda name: not graph.paths[name].is_anchored):
+        path, start = graph.paths[robot], layout.first[robot]
+        lifts = sorted(gap + 1 for name, gap in variant.breaks if name == robot)
+        for first, end in pairwise([0, *lifts, len(path.stamps_ns)]):
+            is_held = path.is_anchored and not first
+            found.append((start + first, start + end, is_held, path.track.planar))
+    return np.array(found, _WHOLE)

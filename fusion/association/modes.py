@@ -11,7 +11,7 @@ from trigpoint.fusion.model.drift import Drift
 from trigpoint.fusion.model.observations import Observation, Reading
 from trigpoint.fusion.model.problem import CameraState
 from trigpoint.fusion.model.trajectory import odometry_poses
-from trigpoint.fusion.reading.faces import are_same_pose, candidates
+from trigpoint.fusion.reading.faces import are_same_pose
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
@@ -21,7 +21,7 @@ from .local import LocalProblem
 from .memory import Memory
 from .mode import Mode, VisitModes
 from .pictures import PictureReader
-from .sightings import Alone, alone, by_itself, tamed
+from .sightings import Alone, by_itself, tamed
 from .visits import Visit
 
 # A mode that is worse than the best of its visit by this can only be right if other visits give
@@ -132,12 +132,7 @@ class ModeFinder:
         scores = {index: tuple(a.wrong_score for a in self.alone(index)) for index in chosen}
         budget = self.memory.budget
         problem = LocalProblem(self.data, chosen, poses, scores, self.events, budget)
-        if len(chosen) == 1:
-            found = self._of_one(visit, problem, poses)
-        else:
-            found = self._found(visit, problem, self._starts(visit, poses))
-        if not found:  # so many are wrong that no two agree, or none was left out in time
-            found = self._found(visit, problem, self._single_starts(visit, poses))
+        found = self._found(visit, problem, self._starts(visit, poses))
         near = self._plausible(visit, found)
         right = [i for i in chosen if not any(_is_wrong(mode.readings[i]) for mode in near)]
         moments = tuple((chosen[index].stamp_ns, index) for index in right)
@@ -155,56 +150,20 @@ class ModeFinder:
         return distinct(found + self._unmasked(problem, distinct(found)))
 
     def _unmasked(self, problem: LocalProblem, found: list[Mode]) -> list[Mode]:
-        """More modes near the best ones, each with another set of wrong sightings (`masks`)."""
+        """More modes near the best ones, each with another of the `likeliest_wrong` sets."""
         others = []
-        known = {tuple(wrong_by(mode).items()) for mode in found}
+        known = {problem.wrong_by(mode).tobytes() for mode in found}
         for mode in found:
             if mode.evidence > found[0].evidence + window():
                 break
             for wrong in problem.likeliest_wrong(mode):
-                if tuple(wrong.items()) in known:
+                if wrong.tobytes() in known:
                     continue
-                known.add(tuple(wrong.items()))
+                known.add(wrong.tobytes())
                 other = problem.mode_near(mode.camera, wrong)
                 if other is not None:
                     others.append(other)
         return others
-
-    def _single_starts(self, visit: Visit, poses: dict[int, Pose]) -> list[Start]:
-        """Starts where each sighting by itself puts the camera, all others taken to be wrong."""
-        target, lens = self.data.targets[visit.robot], self.lenses[visit.camera]
-        views = {index: len(self.observations[index].views) for index in visit.chosen}
-        found: list[Start] = []
-        for index, count in views.items():
-            for order in range(count):
-                wrong = {other: (True,) * number for other, number in views.items()}
-                wrong[index] = tuple(other != order for other in range(count))
-                found += [
-                    Start(poses[index] @ c.camera_from_base.inverse(), wrong)
-                    for c in candidates(alone(self.tame(index), order), target, lens)
-                ]
-        return found
-
-    def _of_one(self, visit: Visit, problem: LocalProblem, poses: dict[int, Pose]) -> list[Mode]:
-        """The modes of a single picture: by all of its views together, and by any one of them, with
-        the others wrong, whose score then is within the window of the best."""
-        (index,) = visit.chosen
-        observation = self.tame(index)
-        target, lens = self.data.targets[visit.robot], self.lenses[visit.camera]
-        together = candidates(observation, target, lens)
-        starts = [Start(poses[index] @ c.camera_from_base.inverse(), {}) for c in together]
-        found = self._found(visit, problem, starts)
-        best = min((mode.evidence for mode in found), default=np.inf)
-        views = self.alone(index)
-        for order, view in enumerate(views):
-            others = sum(other.wrong_score for other in views) - view.wrong_score
-            if len(views) == 1 or view.evidence + others > best + _WINDOW:
-                continue
-            wrong = {index: tuple(other != order for other in range(len(views)))}
-            one = candidates(alone(observation, order), target, lens)
-            starts = [Start(poses[index] @ c.camera_from_base.inverse(), wrong) for c in one]
-            found += self._found(visit, problem, starts)
-        return distinct(found)
 
     def completed(self, visit: Visit, mode: Mode) -> Mode:
         """Extend a mode from the chosen pictures of its visit to all: each of the others is read,
@@ -288,11 +247,6 @@ def renumbered(found: VisitModes, visit: Visit) -> VisitModes:
 
 def _is_wrong(readings: tuple[Reading | None, ...]) -> bool:
     return all(reading is None for reading in readings)
-
-
-def wrong_by(mode: Mode) -> dict[int, tuple[bool, ...]]:
-    """By index, which sightings a mode takes as wrong."""
-    return {i: tuple(reading is None for reading in row) for i, row in mode.readings.items()}
 
 
 def distinct(found: Iterable[Mode]) -> list[Mode]:

@@ -2,10 +2,13 @@
 
 import math
 
+import msgspec
 from msgspec import Struct
 from msgspec.structs import replace
 
+from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.jitter import Jitter
+from trigpoint.fusion.model.odometry import PARTS
 
 # The medians of the exponential priors on the tilt by a floor and the sway of a mast: 0.3° and a
 # millimetre.
@@ -57,3 +60,21 @@ def on_a_floor(noise: Noise, slope: float) -> Noise:
 def in_steps(value: float) -> float:
     """Return a number, if positive, with its logarithm rounded to steps of a tenth."""
     return math.exp(round(math.log(value) / _STEP) * _STEP) if value > 0 else value
+
+
+def with_noise(data: DataSet, noise: dict[str, Noise]) -> DataSet:
+    """Return a copy of the data set with each robot's noise as learnt; the original is kept."""
+    tracks, jitter = dict(data.tracks), {}
+    for robot, learnt in noise.items():
+        stated = data.site.robots[robot].odometry
+        factor = learnt.odometry
+        scaled = {part: getattr(stated, part) * factor for part in PARTS}
+        track = data.tracks[robot]
+        tracks[robot] = track.noisy(
+            msgspec.structs.replace(stated, **scaled),
+            slip=track.slip * learnt.slip,
+            skid=track.skid * learnt.odometry,
+        )
+        if learnt.jitter is not None:
+            jitter[robot] = learnt.jitter
+    return replace(data, tracks=tracks, jitter=jitter)

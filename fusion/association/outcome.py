@@ -12,9 +12,9 @@ from trigpoint.fusion.solver.filter import is_placed
 from trigpoint.geometry import Pose
 
 from .events import EVIDENCE, window
-from .evidence import alternatives_of
-from .explanation import Alternative, CameraFinding, Explanation, Read
+from .explanation import Alternative, CameraFinding, Explanation, Read, alternatives_of
 from .mode import Mode, VisitModes
+from .told_moves import of_camera
 from .world import World
 
 _SEVERAL = (
@@ -119,17 +119,15 @@ class Outcome:
 
     def _lost(self) -> str:
         """Why nothing ties a camera to the map."""
-        used = {self.best.visits[n].visit.robot for n in [*self.chosen.ties, *self.chosen.open]}
+        used = {self.best.visits[n].visit.robot for n in self.chosen.places}
         first = self.data.anchored_robot
         return _LOST if first is None or first in used else _UNSEEN.format(first)
 
     def _places(self, findings: dict[str, CameraFinding]) -> dict[tuple[str, int], CameraState]:
         """The camera's state at every place, earlier ones included, that has one alternative."""
         found = {}
-        for n in [*self.chosen.ties, *self.chosen.open]:
+        for n, place in self.chosen.places.items():
             camera = self.best.visits[n].visit.camera
-            place = self.chosen.place_of(n)
-            assert place is not None
             if camera in self.undecided:
                 continue
             last = self._last_place(camera)
@@ -147,31 +145,23 @@ class Outcome:
     def _state(self, camera: str, place: int, pose: Pose) -> CameraState:
         """A camera at this pose, with lens and clock by its most informative visit there."""
         modes = [
-            v.modes[self._mode_of(n)]
-            for n, v in enumerate(self.best.visits)
-            if v.visit.camera == camera and self.chosen.place_of(n) == place
+            self.best.visits[n].modes[self._mode_of(n)]
+            for n in self._seen(camera)
+            if self.chosen.place_of(n) == place
         ]
         telling = max(modes, key=lambda mode: float(np.linalg.slogdet(mode.information)[1]))
         return replace(telling.camera, map_from_camera=pose)
 
+    def _seen(self, camera: str) -> list[int]:
+        """The numbers of a camera's visits that are right, in order of time."""
+        return of_camera(self.chosen, self.best.visits, camera)
+
     def _last_place(self, camera: str) -> int:
-        return max(
-            (
-                place
-                for n in [*self.chosen.ties, *self.chosen.open]
-                if self.best.visits[n].visit.camera == camera
-                and (place := self.chosen.place_of(n)) is not None
-            ),
-            default=0,
-        )
+        return max((self.chosen.place_of(n) or 0 for n in self._seen(camera)), default=0)
 
     def _told_since(self, camera: str) -> list[CameraMove]:
         """The moves that a camera told of after it was last seen to be somewhere."""
-        mine = [
-            self.best.visits[n].visit.until_ns
-            for n in [*self.chosen.ties, *self.chosen.open]
-            if self.best.visits[n].visit.camera == camera
-        ]
+        mine = [self.best.visits[n].visit.until_ns for n in self._seen(camera)]
         return [
             move
             for move in self.data.told
@@ -181,9 +171,7 @@ class Outcome:
     def _is_placed(self, found: VisitModes) -> bool:
         """Whether a visit's camera was somewhere before all that was told of it."""
         camera = found.visit.camera
-        used = [*self.chosen.ties, *self.chosen.open]
-        is_seen = any(self.best.visits[n].visit.camera == camera for n in used)
-        return is_seen or camera in self.data.known.poses
+        return bool(self._seen(camera)) or camera in self.data.known.poses
 
     def _mode_of(self, number: int) -> int:
         """The mode by which a visit is read."""
@@ -265,11 +253,7 @@ class Outcome:
         found = []
         known = self.data.known.poses
         for camera in dict.fromkeys([*(v.visit.camera for v in self.best.visits), *known]):
-            numbers = [
-                n
-                for n in sorted([*self.chosen.ties, *self.chosen.open])
-                if self.best.visits[n].visit.camera == camera
-            ]
+            numbers = self._seen(camera)
             first = self.best.visits[numbers[0]].visit.stamp_ns if numbers else 0
             if numbers and self.chosen.place_of(numbers[0]):  # it hung elsewhere at first
                 found.append(CameraMove(camera, first, first))

@@ -7,8 +7,6 @@ see at the same time would tell their relative pose no better than odometry does
 visits' first pictures.
 """
 
-from typing import Self
-
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
@@ -89,47 +87,6 @@ class VisualStep(Struct, frozen=True):
     information: Array
     log_covariance: float
     surprise: float = 0.0
-
-
-class Way(Struct, frozen=True):
-    """What odometry and visits tell of a path's steps (m): their `information` (m, 6, 6) and
-    ln |covariance| (m,); the `steps` (k,) that visits show, with `motion` (k) and `by_scale`
-    (k, 6, 2)."""
-
-    information: Array
-    log_covariance: Array
-    steps: np.ndarray
-    motion: Pose
-    by_scale: Array
-
-    @classmethod
-    def of(cls, path: RobotPath) -> Self:
-        """The way by odometry alone."""
-        nothing = Pose.stack([])
-        steps, by_scale = np.zeros(0, dtype=int), np.zeros((0, 6, 2))
-        return cls(path.information, path.log_covariance, steps, nothing, by_scale)
-
-    def with_seen(self, seen: dict[int, VisualStep]) -> Self:
-        """The way with these steps as visits show them."""
-        steps, shown = np.array(list(seen), dtype=int), list(seen.values())
-        kept = ~np.isin(self.steps, steps)
-        motions = Pose.stack([one.motion for one in shown])
-        information, log_covariance = self.information.copy(), self.log_covariance.copy()
-        for step, one in seen.items():
-            information[step] = one.information
-            log_covariance[step] = one.log_covariance - one.surprise
-        by_scale = np.array([one.by_scale for one in shown]).reshape(-1, 6, 2)
-        return replace(
-            self,
-            information=information,
-            log_covariance=log_covariance,
-            steps=np.concatenate([self.steps[kept], steps]),
-            motion=Pose(
-                np.concatenate([self.motion.rotation[kept], motions.rotation]),
-                np.concatenate([self.motion.translation[kept], motions.translation]),
-            ),
-            by_scale=np.concatenate([self.by_scale[kept], by_scale]),
-        )
 
 
 Picture = tuple[int, int]

@@ -9,11 +9,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from trigpoint.fusion.model.dataset import DataSet
-from trigpoint.fusion.model.observations import Observation, Reading, View
+from trigpoint.fusion.model.observations import Observation, Reading, View, corners_in_base
 from trigpoint.fusion.model.problem import CameraState
 from trigpoint.fusion.model.projection import projected
-from trigpoint.fusion.reading.best_readings import best_readings, groups_of, points_of_views
-from trigpoint.fusion.reading.visibility import body_of
+from trigpoint.fusion.reading.best_readings import best_readings, groups_of
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.uncertainty import symmetric
@@ -143,13 +142,8 @@ class PictureReader:
         """Derivatives (v, n, 2, 6) of the views' residuals by the robot's pose in the map, and the
         residuals (v, n, 2), in sigmas."""
         camera = self.camera
-        faces = np.array([[reading.face] for reading in readings])
-        is_turned = np.array([[reading.is_turned] for reading in readings])
-        points = points_of_views(views, body_of(self.target), faces, is_turned)[:, 0]
-        if self.places is not None:
-            where = self.places @ body_of(self.target).face_from_base
-            turn = np.swapaxes(where.rotation[faces[:, 0]], 1, 2)
-            points = points @ turn + where.translation[faces]
+        chosen = zip(views, readings, strict=True)
+        points = np.stack([corners_in_base(*each, self.target, self.places) for each in chosen])
         found = projected(camera.lens, map_from_base, points, camera.map_from_camera)
         pixels = np.stack([view.pixels for view in views])
         sigma = np.array([view.sigma for view in views])[:, None, None]

@@ -14,8 +14,7 @@ from .events import Events
 from .memory import Memory
 from .mode import Mode, VisitModes
 from .modes import ModeFinder, renumbered
-from .noise import PESSIMISTIC
-from .session_noise import with_noise
+from .noise import PESSIMISTIC, with_noise
 from .variances import corner_scale
 from .visits import visit_of, visits_of
 

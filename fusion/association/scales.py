@@ -21,8 +21,7 @@ from .events import EVIDENCE, Events
 from .memory import Memory
 from .mode import VisitModes
 from .modes import ModeFinder
-from .noise import PESSIMISTIC
-from .session_noise import with_noise
+from .noise import PESSIMISTIC, with_noise
 from .visits import telling, visits_of
 
 _ROUGH = 0.05

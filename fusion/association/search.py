@@ -6,7 +6,7 @@ hypothesis. The alternatives are that the visit's sightings are wrong and that t
 where no pair agrees well, also that the robot was lifted in one of the gaps before.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from itertools import islice, pairwise, product
 from weakref import WeakKeyDictionary
 
@@ -17,8 +17,7 @@ from msgspec.structs import replace
 from .agreement import agreement
 from .budget import Budget
 from .events import Events, log_sum, window
-from .factor import Factor
-from .graph import Break, Graph, Place, Placed, Tie, Variant
+from .graph import Factor, Graph, Place, Placed, Tie, Variant
 from .hypothesis import Hypothesis
 from .minimum import Minima
 from .told_moves import ToldMoves, of_camera
@@ -66,8 +65,7 @@ class Search:
         # By graph, which many hypotheses that grow from one share: `_moved_score`.
         self._pushes = WeakKeyDictionary[Factor, dict[tuple[int | Place, int | Place], float]]()
         self._open_score = [
-            log_sum(graph.evidence(number).tolist()) + events.pose_score
-            for number in range(len(self.visits))
+            log_sum(modes.evidence.tolist()) + events.pose_score for modes in graph.modes
         ]
 
     @property
@@ -105,21 +103,22 @@ class Search:
         (start,) = self.placed([(Hypothesis(), Variant({}, frozenset(), frozenset()))])
         return start
 
-    def placed(self, wanted: Sequence[tuple[Hypothesis, Variant]]) -> list[Hypothesis]:
+    def placed(self, wanted: Iterable[tuple[Hypothesis, Variant]]) -> list[Hypothesis]:
         """Return each hypothesis with the ties and breaks of its variant, its graph solved and
         scored; those whose graph is not determined are left out."""
-        minima = self._minima([variant for _, variant in wanted])
-        pairs = zip(wanted, minima, strict=True)
-        return [self._of(*each, there) for each, there in pairs if there is not None]
+        found: list[Hypothesis] = []
+        for like, variant in wanted:
+            placed, ties = self._minimum(variant), dict(variant.ties)
+            if placed is not None:
+                there = replace(
+                    like, ties=ties, breaks=variant.breaks, placed=placed, is_stale=False
+                )
+                found.append(self.scored(there))
+        return found
 
-    def _of(self, like: Hypothesis, variant: Variant, placed: Placed) -> Hypothesis:
-        """Return a hypothesis with a variant and that variant's solved graph, scored."""
-        ties, breaks = dict(variant.ties), variant.breaks
-        return self.scored(replace(like, ties=ties, breaks=breaks, placed=placed, is_stale=False))
-
-    def _minima(self, variants: Sequence[Variant]) -> list[Placed | None]:
-        found = self._graphs.placed(variants)
-        self.budget.spend_placing(unknowns=[each.layout.size if each else 0 for each in found])
+    def _minimum(self, variant: Variant) -> Placed | None:
+        found = self._graphs.placed(variant)
+        self.budget.spend_placing(unknowns=[found.layout.size if found else 0])
         return found
 
     def scored(self, hypothesis: Hypothesis) -> Hypothesis:
@@ -183,7 +182,7 @@ class Search:
             for step in range(len(self.graph.paths[robot].stamps_ns) - 1)
             if (other := (robot, step)) not in hypothesis.breaks
         ]
-        return self.placed(wanted) if wanted else []
+        return self.placed(wanted)
 
     def _pruned(self, grown: list[Hypothesis], known: float) -> list[Hypothesis]:
         """Return the hypotheses that are kept, best first. `known`: the score of one over the same
@@ -218,15 +217,14 @@ class Search:
         for before in hypotheses:
             plain, join = self._beside(before, number)
             found += plain
-            if join is not None:
-                joins.append(join)
-        tied = self._tied([(join, join.before.breaks) for join in joins])
-        unexplained = []
-        for join, mine in zip(joins, tied, strict=True):
-            found += mine
-            if self._may_be_lifted(join, mine):
-                unexplained.append(join)
-        return found + self._lifted(unexplained)
+            joins += [join] if join is not None else []
+        lifted: list[Hypothesis] = []
+        for join in joins:
+            tied = self._tied(join)
+            found += tied
+            if self._may_be_lifted(join, tied):
+                lifted += self._lifted(join)
+        return found + lifted
 
     def _beside(self, before: Hypothesis, number: int) -> tuple[list[Hypothesis], _Join | None]:
         """Return the hypotheses in which a visit is not tied to a place seen before: it is wrong,
@@ -294,33 +292,20 @@ class Search:
         found = self.placed([(hypothesis, hypothesis.variant(hypothesis.breaks))])
         return found[0] if found else self.scored(replace(hypothesis, is_stale=False))
 
-    def _tied(self, joins: Sequence[tuple[_Join, frozenset[Break]]]) -> list[list[Hypothesis]]:
-        """Return, for each join with its breaks, a hypothesis by each pair of modes that agree."""
-        wanted: list[tuple[Hypothesis, Variant]] = []
-        source: list[int] = []
-        for order, (join, breaks) in enumerate(joins):
-            for pair in self._pairs(join):
-                wanted.append(self._joined(join, pair, breaks))
-                source.append(order)
-        found: list[list[Hypothesis]] = [[] for _ in joins]
-        minima = self._minima([variant for _, variant in wanted])
-        for order, (like, variant), there in zip(source, wanted, minima, strict=True):
-            if there is not None:
-                found[order].append(self._of(like, variant, there))
-        return found
+    def _tied(self, join: _Join) -> list[Hypothesis]:
+        """Return a hypothesis by each pair of modes that agree."""
+        return self.placed([self._joined(join, pair) for pair in self._pairs(join)])
 
-    def _joined(
-        self, join: _Join, pair: _Pair, breaks: frozenset[Break]
-    ) -> tuple[Hypothesis, Variant]:
+    def _joined(self, join: _Join, pair: _Pair) -> tuple[Hypothesis, Variant]:
         """Return the hypothesis and the variant, yet to be solved, that tie a visit by this pair of
         modes."""
         before, (first, second) = join.before, pair
         ties = before.ties | {join.number: Tie(second, join.place)}
-        if first is None:
-            return before, Variant(ties, before.nothing, breaks, before.placed)
-        ties = ties | {join.there[0]: Tie(first, join.place)}
-        opened = {n: p for n, p in before.open.items() if n != join.there[0]}
-        return replace(before, open=opened), Variant(ties, before.nothing, breaks, before.placed)
+        if first is not None:
+            ties = ties | {join.there[0]: Tie(first, join.place)}
+        opened = {n: place for n, place in before.open.items() if n not in ties}
+        variant = Variant(ties, before.nothing, before.breaks, before.placed)
+        return replace(before, open=opened), variant
 
     # -- lifts ------------------------------------------------------------------------------------
 
@@ -337,41 +322,25 @@ class Search:
         expected = self._open_score[number] - self.events.pose_score
         return not (best < expected + another or best < alternative - _WINDOW)
 
-    def _lifted(self, joins: list[_Join]) -> list[Hypothesis]:
+    def _lifted(self, join: _Join) -> list[Hypothesis]:
         """Return the hypotheses that tie a visit after a lift of its robot, in each of the gaps
         since the robot's first visit to the place. The pairs of modes are chosen with the lift in
         the last gap."""
-        gaps = [self._gaps(join) for join in joins]
-        some = [(join, mine) for join, mine in zip(joins, gaps, strict=True) if mine]
-        broken = [join.before.breaks | {(self._robot(join), mine[-1])} for join, mine in some]
-        loose = self._minima(
-            [join.before.variant(each) for (join, _), each in zip(some, broken, strict=True)]
-        )
-        relaxed, left = [], []
-        for (join, mine), breaks, there in zip(some, broken, loose, strict=True):
-            if there is not None:
-                before = replace(join.before, placed=there, breaks=breaks)
-                relaxed.append((replace(join, before=before), breaks))
-                left.append((join, mine))
-        found: list[Hypothesis] = []
-        elsewhere: list[tuple[Hypothesis, Variant]] = []
-        for (join, mine), near in zip(left, self._tied(relaxed), strict=True):
-            best = min((h.score for h in near), default=np.inf)
-            for hypothesis in near:
-                if hypothesis.score < best + _WINDOW:
-                    found.append(hypothesis)
-                    for gap in mine[:-1]:
-                        breaks = join.before.breaks | {(self._robot(join), gap)}
-                        elsewhere.append((hypothesis, hypothesis.variant(breaks)))
-        return found + self.placed(elsewhere)
-
-    def _robot(self, join: _Join) -> str:
-        return self.visits[join.number].visit.robot
+        robot, before = self.visits[join.number].visit.robot, join.before
+        gaps = [before.breaks | {(robot, gap)} for gap in self._gaps(join)]
+        loose = self._minimum(before.variant(gaps[-1])) if gaps else None
+        if loose is None:
+            return []
+        relaxed = replace(join, before=replace(before, placed=loose, breaks=gaps[-1]))
+        tied = self._tied(relaxed)
+        best = min((h.score for h in tied), default=np.inf)
+        near = [h for h in tied if h.score < best + _WINDOW]
+        return near + self.placed((h, h.variant(breaks)) for h in near for breaks in gaps[:-1])
 
     def _gaps(self, join: _Join) -> list[int]:
         """Return the nodes after which a robot may have been lifted: those since its first visit
         to the place, or since its first node if it has none."""
-        robot = self._robot(join)
+        robot = self.visits[join.number].visit.robot
         same = [n for n in join.there if self.visits[n].visit.robot == robot]
         first = self.graph.node_of[min(same)] if same else 0
         last = self.graph.node_of[join.number]

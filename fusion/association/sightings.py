@@ -8,7 +8,6 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from trigpoint.fusion.model.observations import Observation, View, face_points, swept
-from trigpoint.fusion.reading.planar_pose import PoseFit, planar_poses
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.samples import median
@@ -45,25 +44,29 @@ _WITHOUT_WILD = Kernel(
 )
 
 
+_PLANE = Kernel(
+    "tp_plane_poses",
+    In(_REAL, ("p",)),
+    In(_REAL, ("n", 3)),
+    In(_REAL, ("n", 2)),
+    float,
+    Out(_REAL, (2, 3, 3)),
+    Out(_REAL, (2, 3)),
+    Out(_REAL, (2,)),
+)
+
+
 class Alone(Struct, frozen=True):
     """What one view says by itself.
 
-    `wrong_score`: the score if the view is wrong, of a board that is somewhere else; `evidence`:
-    the score of the best fit, the pose integrated out; `scatter`: the corners' variance about that
-    fit over the stated one, without corners that are wild by the median distance; NaN where there
-    are too few corners; `wild`: flags of the wild corners, (n,).
+    `wrong_score`: the score if the view is wrong, of a board that is somewhere else; `scatter`: the
+    corners' variance about the best fit over the stated one, without corners that are wild by the
+    median distance; NaN where there are too few corners; `wild`: flags of the wild corners, (n,).
     """
 
     wrong_score: float
-    evidence: float
     scatter: float
     wild: np.ndarray
-
-
-def alone(observation: Observation, order: int) -> Observation:
-    """The observation with only one of its views."""
-    chosen = (observation.chosen[order],) if observation.chosen is not None else None
-    return replace(observation, views=(observation.views[order],), chosen=chosen, outliers=())
 
 
 def tamed(observation: Observation, views: tuple[Alone, ...]) -> Observation:
@@ -89,7 +92,7 @@ def by_itself(view: View, lens: CameraModel, target: Target, events: Events) -> 
     """
     fit = _best_fit(view, lens, target, events)
     if fit is None:
-        return Alone(events.wrong_limit, np.inf, np.nan, np.zeros(len(view.corners), dtype=bool))
+        return Alone(events.wrong_limit, np.nan, np.zeros(len(view.corners), dtype=bool))
     score, left, wild = fit
     scatter = np.nan
     if len(left) >= _LEAST_CORNERS:
@@ -98,7 +101,33 @@ def by_itself(view: View, lens: CameraModel, target: Target, events: Events) -> 
         middle = median(left) / (2 * math.log(2) * share)
         kept = left[left < events.wild_score * middle]
         scatter = float(np.mean(kept)) / (2 * share)
-    return Alone(score + events.wrong_limit, score, scatter, wild)
+    return Alone(score + events.wrong_limit, scatter, wild)
+
+
+class PoseFit(Struct, frozen=True):
+    """camera_from_object, and the reprojection's RMS of a coordinate in sigmas."""
+
+    pose: Pose
+    rms: float
+
+
+def planar_poses(lens: CameraModel, points: Array, pixels: Array, sigma: float) -> list[PoseFit]:
+    """Both poses of one plane, best first, which often fit equally well (Collins and Bartoli,
+    «Infinitesimal plane-based pose estimation», 2014); points (n, 3) with z = 0, pixels (n, 2) raw.
+
+    z points away from whoever sees the plane's front: what fits from behind alone, as a mirrored
+    order of the corners does, is left out. An empty list where fewer than four corners are seen or
+    they lie on a line.
+    """
+    rotation, translation, rms = np.empty((2, 3, 3)), np.empty((2, 3)), np.empty(2)
+    count = _PLANE(
+        lens.parameters,
+        np.ascontiguousarray(points),
+        np.ascontiguousarray(pixels),
+        sigma,
+        *(rotation, translation, rms),
+    )
+    return [PoseFit(Pose(rotation[i], translation[i]), float(rms[i])) for i in range(count)]
 
 
 def _best_fit(

@@ -10,8 +10,7 @@ from .mode import VisitModes
 
 def of_camera(hypothesis: Hypothesis, visits: Sequence[VisitModes], camera: str) -> list[int]:
     """Return the numbers of a camera's visits that are right, in order of time."""
-    used = [*hypothesis.ties, *hypothesis.open]
-    return sorted(number for number in used if visits[number].visit.camera == camera)
+    return sorted(n for n in hypothesis.places if visits[n].visit.camera == camera)
 
 
 class ToldMoves:

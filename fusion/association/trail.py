@@ -15,8 +15,7 @@ from msgspec.structs import replace
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
-from .factor import Factor
-from .graph import Graph, Layout, Placed, Variant
+from .graph import Factor, Graph, Layout, Placed, Variant
 from .hypothesis import Hypothesis
 
 # Of so many last visits everything is kept, of those before only that after every so manieth.

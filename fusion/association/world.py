@@ -4,6 +4,8 @@ It searches the joint hypotheses. `verify` then holds the finished best one agai
 alternatives: for each camera, where else could it be, given all the others?
 """
 
+from collections.abc import Iterator, Mapping
+
 import numpy as np
 from msgspec.structs import replace
 
@@ -11,21 +13,24 @@ from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import Observation
 
 from .agreement import seen_by
-from .bridges import tied_twice
 from .events import Events, window
-from .evidence import Place
-from .graph import Graph, Variant
+from .explanation import Place
+from .graph import Break, Graph, Tie, Variant
 from .hypothesis import Hypothesis
 from .learning import SessionNoise
 from .memory import Memory
 from .modes import ModeFinder
+from .noise import with_noise
 from .search import Search
-from .session_noise import with_noise
 from .trail import Trail
 from .visits import Visit, visits_of
 
 # Explanations that are worse than the best by more have no share in where a camera is.
 _COUNTS = 2 * window()
+
+
+_Spot = tuple[str, int]
+"""A robot's node, or a camera's place."""
 
 
 class World:
@@ -175,12 +180,10 @@ class World:
                 break
             if not self.search.happened(hypothesis):
                 continue
-            ties, opened = hypothesis.ties, hypothesis.open
-            tied = tied_twice(self.graph, ties, opened, hypothesis.breaks)
+            tied = tied_twice(self.graph, hypothesis.ties, hypothesis.open, hypothesis.breaks)
             last: dict[str, int] = {}
-            for number in [*ties, *opened]:
-                camera, place = self.visits[number].visit.camera, hypothesis.place_of(number)
-                assert place is not None
+            for number, place in hypothesis.places.items():
+                camera = self.visits[number].visit.camera
                 last[camera] = max(last.get(camera, 0), place)
             loose = {camera for camera, place in last.items() if (camera, place) not in tied}
             found.append((hypothesis.score + self.noise.score, loose))
@@ -200,9 +203,8 @@ class World:
         score = hypothesis.score + self.noise.score
         mine = {
             n: place
-            for n in [*hypothesis.ties, *hypothesis.open]
+            for n, place in hypothesis.places.items()
             if self.visits[n].visit.camera == camera
-            and (place := hypothesis.place_of(n)) is not None
         }
         wanted = max(mine.values(), default=0) if number is None else number
         there = [n for n, place in mine.items() if place == wanted]
@@ -216,7 +218,7 @@ class World:
         seen = seen_by(self.graph, placed, there[0])
         shared = placed.covariance(seen.rows)
         covariance = seen.by_unknowns @ shared @ np.swapaxes(seen.by_unknowns, 1, 2) + seen.own
-        evidences = self.graph.evidence(there[0])
+        evidences = self.graph.modes[there[0]].evidence
         least = float(evidences.min())
         return [
             Place(seen.pose[mode], covariance[mode], score + float(evidence) - least)
@@ -231,3 +233,78 @@ def _signature(hypothesis: Hypothesis) -> tuple[object, ...]:
         hypothesis.nothing,
         hypothesis.breaks,
     )
+
+
+def tied_twice(
+    graph: Graph, ties: Mapping[int, Tie], opened: Mapping[int, int], breaks: frozenset[Break]
+) -> set[_Spot]:
+    """Return the places (camera, number) that stay connected to the map's origin even if a robot
+    was carried in any single gap between visits.
+
+    A lift in a gap that only odometry bridges cannot be detected, since no other tie closes a loop
+    around it. In a session in which nothing happened it is too improbable to matter; where a robot
+    was carried or a camera was moved once, it is not (`Events.event_score`), and what lies beyond
+    may be anywhere.
+
+    `opened`: by number of a visit that is the only one to see its place, that place.
+    """
+    edges = [
+        (robot, step)
+        for robot, path in graph.paths.items()
+        for step in range(len(path.stamps_ns) - 1)
+        if (robot, step) not in breaks
+    ]
+    used = {**{n: tie.place for n, tie in ties.items()}, **opened}
+    seen = {
+        (graph.visits[n].visit.camera, place): (graph.visits[n].visit.robot, graph.node_of[n])
+        for n, place in opened.items()
+    }
+    first = _first_seen(graph, used)
+    found: set[_Spot] | None = None
+    for cut in [None, *edges]:
+        if cut is not None and (cut[1] < first.get(cut[0], 0) or graph.across(cut) is not None):
+            continue  # before the robot's first visit, or a visit goes on across the gap
+        reached = _reached(graph, ties, breaks | ({cut} if cut else set()), first)
+        reached |= {place for place, node in seen.items() if node in reached}
+        found = reached if found is None else found & reached
+    return found or set()
+
+
+def _first_seen(graph: Graph, used: Mapping[int, int]) -> dict[str, int]:
+    """Return, by robot, the node of its first visit that is used."""
+    found: dict[str, int] = {}
+    for number in used:
+        robot, node = graph.visits[number].visit.robot, graph.node_of[number]
+        found[robot] = min(found.get(robot, node), node)
+    return found
+
+
+def _reached(
+    graph: Graph, ties: Mapping[int, Tie], breaks: frozenset[Break], first: Mapping[str, int]
+) -> set[_Spot]:
+    """Return all nodes and places that are connected to the map's origin or to a known camera."""
+    beside: dict[_Spot, list[_Spot]] = {}
+    for one, other in _edges(graph, ties, breaks):
+        beside.setdefault(one, []).append(other)
+        beside.setdefault(other, []).append(one)
+    waiting: list[_Spot] = [(camera, 0) for camera in graph.data.known.poses]
+    waiting += [(r, first.get(r, 0)) for r, path in graph.paths.items() if path.is_anchored]
+    reached = set(waiting)
+    while waiting:
+        for other in beside.get(waiting.pop(), []):
+            if other not in reached:
+                reached.add(other)
+                waiting.append(other)
+    return reached
+
+
+def _edges(
+    graph: Graph, ties: Mapping[int, Tie], breaks: frozenset[Break]
+) -> Iterator[tuple[_Spot, _Spot]]:
+    for robot, path in graph.paths.items():
+        for step in range(len(path.stamps_ns) - 1):
+            if (robot, step) not in breaks:
+                yield (robot, step), (robot, step + 1)
+    for number, tie in ties.items():
+        visit = graph.visits[number].visit
+        yield (visit.robot, graph.node_of[number]), (visit.camera, tie.place)

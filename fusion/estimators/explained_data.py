@@ -8,7 +8,7 @@ from msgspec.structs import replace
 
 from trigpoint.fusion.association.events import Events
 from trigpoint.fusion.association.explanation import Explanation
-from trigpoint.fusion.association.session_noise import with_noise
+from trigpoint.fusion.association.noise import with_noise
 from trigpoint.fusion.model.dataset import DataSet, Entry, Move
 from trigpoint.fusion.model.observations import (
     Observation,

@@ -65,13 +65,6 @@ def moved(twists: Array) -> Pose:
     return Pose(so3.exp(turns), shifts)
 
 
-def twist_of(motion: Pose) -> Array:
-    """The constant twists (…, 6) of motions (…) over a unit of time: the inverse of `moved`."""
-    turns = so3.log(motion.rotation)
-    shifts = np.linalg.solve(so3.left_jacobian(turns), motion.translation[..., None])[..., 0]
-    return np.concatenate([shifts, turns], axis=-1)
-
-
 def both(scale: Array) -> Array:
     """Expand factors (2,) of distance and heading to the six components of a twist."""
     return np.repeat(scale, 3)

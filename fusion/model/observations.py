@@ -225,6 +225,17 @@ def swept(points: Array, view: View, face: Face) -> Array:
     return points + view.sweep.shift(base_from_face @ points) @ base_from_face.rotation
 
 
+def corners_in_base(
+    view: View, reading: Reading, target: Target, base_from_face: Pose | None = None
+) -> Array:
+    """A view's corners (n, 3) in the robot's base frame by a reading, each when its own row is
+    exposed; `base_from_face`: all faces, where they are not as the target says."""
+    face = target.faces[reading.face]
+    pose = face.base_from_face if base_from_face is None else base_from_face[reading.face]
+    points = pose @ face_points(face, view.corners, is_turned=reading.is_turned)
+    return points if view.sweep is None else points + view.sweep.shift(points)
+
+
 def joined(views: Sequence[View]) -> Sweep | None:
     """The sweeps of many views, concatenated over their corners; None where no view has one."""
     if all(view.sweep is None for view in views):

@@ -7,15 +7,14 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from trigpoint.fusion.model.gates import WILD_SHARE
-from trigpoint.fusion.model.observations import Observation, Reading
+from trigpoint.fusion.model.observations import Observation, Reading, corners_in_base
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.native.library import In, Kernel, Out
 from trigpoint.site.target import Target
 
 from .best_readings import best_readings
-from .faces import candidates, corners_of, is_same_pose, pixels_of
-from .visibility import body_of
+from .faces import candidates, is_same_pose, pixels_of
 
 # With a prior tighter than this, poses that a look-alike face or a turned board would need are
 # many sigmas away, so that only readings near the prior need to be looked at.
@@ -140,6 +139,11 @@ class _Search:
         self.observation, self.target, self.lens = observation, target, lens
         self.map_from_camera, self.tangent, self.prior = map_from_camera, tangent, prior
         self.pixels, sigma = pixels_of(observation)
+        # By view, its corners (r, n, 3) in the robot's frame for each of its readings.
+        self.corners = [
+            np.stack([corners_in_base(view, reading, target) for reading in view.readings])
+            for view in observation.views
+        ]
         self.extra_variance = extra_sigma_px**2
         self.weights = 1 / np.sqrt(sigma**2 + self.extra_variance)
         self.wild = np.zeros(len(self.pixels), dtype=bool)
@@ -159,9 +163,10 @@ class _Search:
         """Which corners (n,) fit nowhere near the prior, each view judged by itself: single ones
         that lie elsewhere, or all of a view that shows something else than it claims."""
         parts = []
-        for view in self.observation.views:
+        for view, corners in zip(self.observation.views, self.corners, strict=True):
             alone = copy(self)
             alone.observation = replace(self.observation, views=(view,))
+            alone.corners = [corners]
             alone.pixels, sigma = pixels_of(alone.observation)
             alone.weights = 1 / np.sqrt(sigma**2 + self.extra_variance)
             parts.append(alone._wild_in_view(prior))
@@ -263,8 +268,8 @@ class _Search:
 
     def _points(self, readings: np.ndarray) -> Array:
         """The corners in the robot's frame by readings (b, views), (b, n, 3)."""
-        points = corners_of(self.observation, body_of(self.target), readings)
-        return np.ascontiguousarray(points)
+        chosen = zip(self.corners, readings.T, strict=True)
+        return np.concatenate([corners[numbers] for corners, numbers in chosen], axis=1)
 
     @property
     def _given(self) -> tuple[np.ndarray, ...]:

@@ -4,14 +4,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from trigpoint.fusion.model.observations import Reading, View, joined
+from trigpoint.fusion.model.observations import Reading, View
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.native.library import In, Kernel, Out
 from trigpoint.site.target import Target
 
 from .views import BODY, VIEWS, body_tables, view_tables
-from .visibility import Body, corners_in_base
 
 _READINGS = Kernel(
     "tp_readings",
@@ -49,16 +48,3 @@ def groups_of(keys: Sequence[object]) -> list[np.ndarray]:
     for row, key in enumerate(keys):
         found.setdefault(key, []).append(row)
     return [np.array(rows) for rows in found.values()]
-
-
-def points_of_views(views: Sequence[View], body: Body, faces: Array, is_turned: Array) -> Array:
-    """The corners in the base frame of views (v) with n corners each, for readings (v, r) of each:
-    (v, r, n, 3)."""
-    corners = np.stack([view.corners for view in views])
-    points = corners_in_base(body, corners[:, None], faces[..., None], is_turned[..., None])
-    sweep = joined(views)
-    if sweep is None:
-        return points
-    shape = points.swapaxes(0, 1).shape
-    shift = sweep.shift(points.swapaxes(0, 1).reshape(shape[0], -1, 3))
-    return points + shift.reshape(shape).swapaxes(0, 1)

@@ -4,22 +4,17 @@ Every reading of every view and both solutions of every plane are candidates unt
 decides between them.
 """
 
-from functools import lru_cache
-
 import numpy as np
 from msgspec import Struct
 
-from trigpoint.fusion.model.observations import Observation, Reading, View
+from trigpoint.fusion.model.observations import Observation, Reading
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.native.library import In, Kernel, Out
 from trigpoint.site.target import Target
 
 from .views import BODY, VIEWS, body_tables, patterns, view_tables
-from .visibility import Body, by_reading
 
-# The number of observations whose candidates are cached.
-_MOST_KEPT = 1024
 _SAME_PLACE_M = 0.05
 _SAME_TURN_RAD = 0.05
 _REAL = np.float64
@@ -42,14 +37,7 @@ def candidates(
     observation: Observation, target: Target, lens: CameraModel
 ) -> tuple[Candidate, ...]:
     """All interpretations of a single observation, best first."""
-    return _candidates(observation.views, target, lens)
-
-
-@lru_cache(maxsize=_MOST_KEPT)
-def _candidates(
-    views: tuple[View, ...], target: Target, lens: CameraModel
-) -> tuple[Candidate, ...]:
-    """`candidates`, cached: they depend on nothing else, and pictures are read repeatedly."""
+    views = observation.views
     # Each reading of one view at both poses of its plane.
     most = 2 * max((len(view.readings) for view in views), default=0)
     numbers, rows = np.empty((most, len(views)), dtype=np.int64), np.empty((most, 12))
@@ -68,14 +56,6 @@ def _candidates(
             numbers[:count].tolist(), rows[:count], rms[:count].tolist(), strict=True
         )
     )
-
-
-def corners_of(observation: Observation, body: Body, readings: np.ndarray) -> Array:
-    """All corners (b, n, 3) of an observation in the base frame for several readings (b, views)."""
-    parts = [
-        by_reading(view, body)[readings[:, order]] for order, view in enumerate(observation.views)
-    ]
-    return np.concatenate(parts, axis=1)
 
 
 def pixels_of(observation: Observation) -> tuple[Array, Array]:

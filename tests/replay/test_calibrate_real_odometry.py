@@ -15,7 +15,7 @@ from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import Verdict
 from trigpoint.fusion.model.problem import State
 from trigpoint.fusion.pipeline import Pipeline
-from trigpoint.fusion.solver.relinearisation import solve_consistently
+from trigpoint.fusion.solver.levenberg_marquardt import solve_consistently
 from trigpoint.geometry import Pose
 from trigpoint.map.network import encode_network
 from trigpoint.recorder.session.recording import open_recording

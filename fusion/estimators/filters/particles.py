@@ -78,10 +78,11 @@ class Particles(Struct, frozen=True):
 
     def robot(self, robot: str) -> RobotEstimate:
         here, full = self.robots[robot], np.zeros((6, 6))
-        apart = here.poses.errors[:, here.tangent]
+        centred = here.poses.centred
+        apart = centred.disturbances[:, here.tangent]
         covariance = np.cov(apart.T, bias=True) + here.spread.mean(axis=0)
         full[np.ix_(here.tangent, here.tangent)] = covariance
-        return RobotEstimate(here.stamp_ns, here.poses.mean, full)
+        return RobotEstimate(here.stamp_ns, centred.about, full)
 
     def scales(self, robot: str) -> Array:
         if robot not in self.scale_errors:
@@ -90,7 +91,7 @@ class Particles(Struct, frozen=True):
 
     def joint_covariance(self, cameras: list[str]) -> Array:
         """The covariance between the particles plus, on the diagonal, the mean one within them."""
-        errors = [self.located[name].poses.errors for name in cameras]
+        errors = [self.located[name].poses.centred.disturbances for name in cameras]
         joint = np.cov(np.concatenate(errors, axis=1).T, bias=True)
         for index, name in enumerate(cameras):
             rows = slice(6 * index, 6 * index + 6)
@@ -209,12 +210,12 @@ class Particles(Struct, frozen=True):
         for name, here in self.robots.items():
             disturbance = np.zeros((PARTICLES, 6))
             disturbance[:, here.tangent] = next(split)
-            poses, spread = here.poses.redrawn(disturbance), here.spread[indices]
-            crossed = here.crossed[indices]
+            poses = PoseSamples(here.poses.about, disturbance)
+            spread, crossed = here.spread[indices], here.crossed[indices]
             robots[name] = replace(here, poses=poses, spread=spread, crossed=crossed)
         located = {
             name: CameraParticles(
-                each.poses.redrawn(next(split)), each.covariance[indices], each.lens
+                PoseSamples(each.poses.about, next(split)), each.covariance[indices], each.lens
             )
             for name, each in self.located.items()
         }

@@ -5,6 +5,7 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
+from msgspec import Struct
 
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
@@ -14,72 +15,52 @@ _NO_DISTANCE = 1e-10
 _MOST_STEPS = 10
 
 
-class PoseSamples:
-    """Samples of a pose; immutable.
+class PoseSamples(Struct, frozen=True, dict=True):
+    """Samples of a pose: one near their mean, `about`, and the `disturbances` (n, 6) from it to
+    them. The samples themselves are computed where they are asked for: most cameras of a filter are
+    redrawn many times, a little each, before they see a robot again. `is_centred`: `about` is their
+    mean."""
 
-    `about`: a pose near their mean and the disturbances (n, 6) from it to the samples, which
-    themselves are only computed where they are asked for: most cameras of a filter are moved many
-    times, a little each, before they see a robot again.
-    """
-
-    def __init__(self, about: tuple[Pose, Array]) -> None:
-        self._about = about
+    about: Pose
+    disturbances: Array
+    is_centred: bool = False
 
     @classmethod
     def of(cls, poses: Pose) -> Self:
-        """From the samples themselves, (n)."""
-        samples = cls(_centred(poses))
-        samples.__dict__.update(poses=poses, _centre=samples._about)
-        return samples
+        """From the samples themselves, (n), about their mean: the pose from which the disturbances
+        to all of them add up to zero."""
+        mean = Pose(_nearest_rotation(poses), poses.translation.mean(axis=0))
+        errors = poses.difference(mean)
+        for _ in range(_MOST_STEPS):
+            left = errors.mean(axis=0)
+            if np.abs(left).max() < _NO_DISTANCE:
+                break
+            mean = mean.disturbed(left)
+            errors = poses.difference(mean)
+        found = cls(mean, errors, is_centred=True)
+        vars(found)["poses"] = poses  # as `poses` would compute them
+        return found
 
     @cached_property
     def poses(self) -> Pose:
         """The samples (n)."""
-        about, disturbances = self._about
-        return about.repeated(len(disturbances)).disturbed(disturbances)
+        return self.about.repeated(len(self.disturbances)).disturbed(self.disturbances)
 
     @property
-    def disturbances(self) -> Array:
-        """The samples' disturbances (n, 6) about a pose near the mean."""
-        return self._about[1]
+    def centred(self) -> Self:
+        """The same samples about their mean."""
+        return self if self.is_centred else self.of(self.poses)
 
     @property
     def mean(self) -> Pose:
-        """The pose from which the disturbances to all samples add up to zero."""
-        return self._centre[0]
+        return self.centred.about
 
-    @property
-    def errors(self) -> Array:
-        """The disturbances (n, 6) from the mean to the samples."""
-        return self._centre[1]
-
-    def disturbed(self, disturbances: Iterable[Array]) -> "PoseSamples":
+    def disturbed(self, disturbances: Iterable[Array]) -> Self:
         """Each sample moved by its own disturbances, (n, 6), one after the other."""
         poses = self.poses
         for disturbance in disturbances:
             poses = poses.disturbed(disturbance)
-        return PoseSamples.of(poses)
-
-    def redrawn(self, disturbances: Array) -> "PoseSamples":
-        """As many new samples, by their `disturbances` about the same pose."""
-        return PoseSamples((self._about[0], disturbances))
-
-    @cached_property
-    def _centre(self) -> tuple[Pose, Array]:
-        return _centred(self.poses)
-
-
-def _centred(poses: Pose) -> tuple[Pose, Array]:
-    """The mean of poses (n) and their disturbances (n, 6) from it."""
-    mean = Pose(_nearest_rotation(poses), poses.translation.mean(axis=0))
-    errors = poses.difference(mean)
-    for _ in range(_MOST_STEPS):
-        left = errors.mean(axis=0)
-        if np.abs(left).max() < _NO_DISTANCE:
-            break
-        mean = mean.disturbed(left)
-        errors = poses.difference(mean)
-    return mean, errors
+        return self.of(poses)
 
 
 def _nearest_rotation(poses: Pose) -> Array:

@@ -13,7 +13,6 @@ from trigpoint.fusion.association.sightings import all_without_wild
 from trigpoint.fusion.model.gates import WILD_CORNER_SIGMAS, WILD_SHARE
 from trigpoint.fusion.model.observations import Observation, base_from_faces, points_of
 from trigpoint.fusion.model.projection import projected
-from trigpoint.fusion.solver.picture_jitter import PictureJitter
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.uncertainty import turned_axes
@@ -68,15 +67,15 @@ def relative_view(
     residual = (apart * weights).reshape(-1)
     if not (np.all(np.isfinite(jacobian)) and np.all(np.isfinite(residual))):
         return None
-    freedom = len(residual) - 6
-    if variances is not None:
-        by_base = jacobian @ turned_axes(camera_from_base.rotation)
-        jitter = PictureJitter.by(by_base[None], variances[None])
-        (jacobian,), (residual,) = jitter.rows(jacobian[None], residual[None])
     basis, root = np.linalg.qr(jacobian)
     compressed = basis.T @ residual
     left = max(float(residual @ residual - compressed @ compressed), 0.0)
-    rms_px = float(np.sqrt(np.mean(apart**2)))
+    freedom, rms_px = len(residual) - 6, float(np.sqrt(np.mean(apart**2)))
+    if variances is not None:  # they add to the noise of what the corners measure
+        by_base = root @ turned_axes(camera_from_base.rotation)
+        spread = np.eye(len(root)) + by_base * variances @ by_base.T
+        whitening = np.linalg.inv(np.linalg.cholesky(spread))
+        root, compressed = whitening @ root, whitening @ compressed
     return RelativeView(camera_from_base, root, compressed, left, freedom, rms_px)
 
 

@@ -29,9 +29,8 @@ from trigpoint.fusion.solver.filter import RobotEstimate, carried_on, is_placed
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
-from .contradictions import Step, contradictions
 from .filter_state import FilterState, Innovation
-from .replay import Replay
+from .replay import Replay, Step, contradictions
 
 
 class SequentialEstimator(Live):

@@ -14,7 +14,13 @@ from trigpoint.fusion.association.explanation import Alternative
 from trigpoint.fusion.association.scales import rough_robots
 from trigpoint.fusion.estimators.change_reports import report_changes
 from trigpoint.fusion.estimators.explainer import Explainer
-from trigpoint.fusion.estimators.interface import CameraCount, CameraEstimate, Trajectory, Update
+from trigpoint.fusion.estimators.interface import (
+    CameraCount,
+    CameraEstimate,
+    Live,
+    Trajectory,
+    Update,
+)
 from trigpoint.fusion.estimators.marginals import joint_covariance
 from trigpoint.fusion.estimators.residuals import (
     CameraResiduals,
@@ -38,7 +44,7 @@ from .settled_past import OF_A_SESSION, Limits, past_path, settled_past
 from .unseen_moves import unseen_move
 
 
-class Smoother:
+class Smoother(Live):
     """See `Estimator`. `limits`: on what it keeps; where robots look alike, a recording is kept
     whole, since of its sightings many come at the end."""
 
@@ -189,10 +195,6 @@ class Smoother:
 
     def robot(self, robot: str) -> RobotEstimate | None:
         return self._current.robot(robot)
-
-    def particles(self, robot: str) -> Pose | None:
-        assert robot in self.data.site.robots
-        return None
 
     def cameras(self) -> dict[str, CameraEstimate]:
         return self._current.cameras()

@@ -30,7 +30,7 @@ Pose on_the_floor(const Pose& there) {
 
 // (poses (n, 12), of each whether it is known from before, or begins as it is (n, 2), [parts] first
 // and end, whether that is held, whether in the plane (r, 4), [ties] ends (k, 4), motion (k, 12),
-// whether each is new (k,)): 0; see `initial_values.initial_poses`.
+// whether each is new (k,)): 0; see `minimum.initial_poses`.
 TRIGPOINT_KERNEL(tp_graph_start) {
     Places poses = arguments[0].array.rows<12>();
     const Array &parts = arguments[2].array, &ties = arguments[3].array;

@@ -16,7 +16,7 @@ struct Reading {
     bool is_turned;
 };
 
-// A target as an opaque solid in the robot's base frame; see `visibility.Body`.
+// A target as an opaque solid in the robot's base frame; see `views.body_tables`.
 class Body {
 public:
     using Index = Eigen::Index;

@@ -5,6 +5,7 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
+from support.fusion.picture_jitter import PictureJitter
 
 from trigpoint.fusion.model.motion import Motion
 from trigpoint.fusion.model.prediction import (
@@ -14,7 +15,6 @@ from trigpoint.fusion.model.prediction import (
 )
 from trigpoint.fusion.model.problem import Batch, CameraState, Layout, Problem, RobotState, State
 from trigpoint.fusion.solver.equations import EXACT
-from trigpoint.fusion.solver.picture_jitter import PictureJitter
 from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
 

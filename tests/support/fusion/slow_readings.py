@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from trigpoint.fusion.model.observations import View
-from trigpoint.fusion.reading.visibility import body_of, by_reading
+from trigpoint.fusion.model.observations import View, corners_in_base
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.site.target import Target
@@ -15,7 +14,8 @@ def slow_rms_px(view: View, target: Target, lens: CameraModel, camera_from_base:
     """Reprojection RMS of a coordinate for each of a view's readings (r,), pixels; infinite for a
     face that would be seen from behind or through another."""
     found = []
-    for reading, points in zip(view.readings, by_reading(view, body_of(target)), strict=True):
+    for reading in view.readings:
+        points = corners_in_base(view, reading, target)
         optical = camera_from_base @ points
         eye = camera_from_base.inverse().translation
         outer = points[outermost(view.pixels)]

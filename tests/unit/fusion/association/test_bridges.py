@@ -2,9 +2,9 @@
 
 from support.oracle.sessions import Shape, data_of, graph_of
 
-from trigpoint.fusion.association.bridges import tied_twice
 from trigpoint.fusion.association.engine import explain
 from trigpoint.fusion.association.graph import Tie
+from trigpoint.fusion.association.world import tied_twice
 
 
 def test_loop_that_closes_ties_everything_on_it_and_nothing_after() -> None:

@@ -1,7 +1,5 @@
 """What a session is given up for is left open, and nothing else changes."""
 
-from collections.abc import Sequence
-
 import numpy as np
 import pytest
 from msgspec.structs import replace
@@ -128,12 +126,12 @@ def test_what_more_explanations_hold_than_are_kept_is_left_open(
     assert not any("not decided" in f.reason for f in explain(*came).findings.values())
     graphs: list[bool] = []
 
-    def noting(self: search.Search, variants: Sequence[Variant]) -> list[Placed | None]:
+    def noting(self: search.Search, variant: Variant) -> Placed | None:
         graphs.append(self.is_cut)
-        return minima(self, variants)
+        return minimum(self, variant)
 
-    minima = search.Search._minima
-    monkeypatch.setattr(search.Search, "_minima", noting)
+    minimum = search.Search._minimum
+    monkeypatch.setattr(search.Search, "_minimum", noting)
     monkeypatch.setattr(search, "_MOST_HYPOTHESES", 1)
     narrow = explain(*came)
     assert all("not decided in time" in f.reason for f in narrow.findings.values())

@@ -12,7 +12,7 @@ from benchmarks.compositions.recipe import Recipe
 from benchmarks.compositions.session import Composition, composed_session, session_of
 from trigpoint.fusion.estimators.interface import CameraEstimate
 from trigpoint.fusion.estimators.smoother import batch
-from trigpoint.fusion.solver.relinearisation import Solved, solve_consistently
+from trigpoint.fusion.solver.levenberg_marquardt import Solved, solve_consistently
 from trigpoint.geometry import Pose
 from trigpoint.recorder.session.recording import open_recording
 from trigpoint.tools.calibrate.work import worked_out

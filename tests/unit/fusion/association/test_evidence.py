@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from trigpoint.fusion.association.events import EVIDENCE, window
-from trigpoint.fusion.association.evidence import Place, alternatives_of, are_same_place
+from trigpoint.fusion.association.explanation import Place, alternatives_of, are_same_place
 from trigpoint.geometry import Pose
 
 COVARIANCE = np.diag([1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4])

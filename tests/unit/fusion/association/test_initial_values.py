@@ -6,8 +6,7 @@ from msgspec.structs import replace
 from support.oracle.sessions import Shape, graph_of
 
 from trigpoint.fusion.association.graph import Graph, Layout, Placed, Tie, Variant
-from trigpoint.fusion.association.initial_values import initial_poses
-from trigpoint.fusion.association.minimum import Minima
+from trigpoint.fusion.association.minimum import Minima, initial_poses
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
@@ -26,7 +25,7 @@ def met_again(breaks: frozenset[tuple[str, int]] = NOWHERE) -> Variant:
 
 
 def solved(graph: Graph, variant: Variant) -> Placed:
-    (found,) = Minima(graph).placed([variant])
+    found = Minima(graph).placed(variant)
     assert found is not None
     return found
 
@@ -35,7 +34,7 @@ def begun(graph: Graph, layout: Layout, variant: Variant) -> Array:
     """The poses with which a variant whose ties are all of c1 begins."""
     ties = sorted(variant.ties.items())
     ends = np.array([[graph.node_of[n], layout.at["c1", 0], -1, 0] for n, _ in ties])
-    seen = np.concatenate([graph.seen_rows(n)[[tie.mode]] for n, tie in ties])
+    seen = np.concatenate([graph.modes[n].base_from_camera.rows()[[tie.mode]] for n, tie in ties])
     return initial_poses(graph, layout, variant, ties, ends, seen)
 
 
@@ -49,7 +48,7 @@ def test_along_odometry_where_it_is_near_nothing(graph: Graph) -> None:
     nodes, camera = started(graph, met_again())
     odometry = graph.paths["r1"].odometry
     assert np.allclose(nodes.translation, odometry.translation)
-    seen = graph.relative(0)[0][0]
+    seen = graph.modes[0].base_from_camera[0]
     assert np.allclose(camera.difference(odometry[graph.node_of[0]] @ seen), 0.0)
 
 

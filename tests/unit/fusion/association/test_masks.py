@@ -6,7 +6,7 @@ from support.fusion.linear_visits import drawn_visit, simple_visit, slow_likelie
 
 from trigpoint.fusion.association.events import Events
 from trigpoint.fusion.association.linear import Linear
-from trigpoint.fusion.association.masks import likeliest_wrong
+from trigpoint.fusion.association.local import likeliest_wrong
 from trigpoint.fusion.model.jitter import Jitter
 
 SIGMA = 1e-3

@@ -8,7 +8,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from trigpoint.fusion.association.agreement import AGREEMENT
-from trigpoint.fusion.association.factor import Factor
+from trigpoint.fusion.association.graph import Factor
 from trigpoint.fusion.association.minimum import MINIMUM
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array

@@ -7,8 +7,8 @@ from support.fusion.linear_visits import drawn_visit, slow_misfit
 
 from trigpoint.fusion.association.events import Events
 from trigpoint.fusion.association.linear import Linear
-from trigpoint.fusion.association.misfit import interrupted, misfit
 from trigpoint.fusion.association.noise import STATED, Noise
+from trigpoint.fusion.association.variances import interrupted, misfit
 
 NOISES = {
     "no jitter": STATED,

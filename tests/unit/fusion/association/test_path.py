@@ -81,7 +81,7 @@ def test_camera_is_seen_from_where_the_robot_is_as_its_clock_says() -> None:
     graph = graph_of(session)
     (found,) = graph.visits
     there = session.map_from_base("r1", found.visit.stamp_ns)
-    seen, information = graph.relative(0)
+    seen, information = graph.modes[0].base_from_camera, graph.modes[0].information
     error = (there.inverse() @ cameras["c1"].map_from_camera).difference(seen[0])
     covariance = np.linalg.inv(information[0])[:6, :6]
     assert error @ np.linalg.solve(covariance, error) < 30

@@ -7,9 +7,8 @@ from support.fusion.drives import Session, observed
 from trigpoint.fusion.association.events import Events
 from trigpoint.fusion.association.mode import Mode
 from trigpoint.fusion.association.modes import ModeFinder
-from trigpoint.fusion.association.noise import Noise
+from trigpoint.fusion.association.noise import Noise, with_noise
 from trigpoint.fusion.association.pictures import PictureReader
-from trigpoint.fusion.association.session_noise import with_noise
 from trigpoint.fusion.association.visits import visits_of
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import Observation

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from trigpoint.fusion.model.assembly import padded_points
 from trigpoint.fusion.model.observations import (
     Observation,
     Reading,
@@ -9,7 +10,6 @@ from trigpoint.fusion.model.observations import (
     observation_of,
     points_of,
 )
-from trigpoint.fusion.model.padding import padded_points
 from trigpoint.fusion.model.rolling_shutter import sweep_of
 from trigpoint.site.config import CameraConfig
 from trigpoint.site.target import Target

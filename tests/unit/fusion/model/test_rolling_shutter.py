@@ -13,11 +13,11 @@ from trigpoint.fusion.model.observations import (
     Reading,
     View,
     base_from_faces,
+    corners_in_base,
     observation_of,
     points_of,
 )
 from trigpoint.fusion.model.rolling_shutter import sweep_of
-from trigpoint.fusion.reading.visibility import body_of, by_reading
 from trigpoint.fusion.solver.levenberg_marquardt import linearise
 from trigpoint.geometry import rotation as so3
 from trigpoint.site.config import CameraConfig
@@ -65,13 +65,13 @@ def test_every_reading_is_swept_as_the_robot_moves(is_turned: bool) -> None:
     readings = (Reading(0, is_turned), Reading(3, is_turned))
     view = View(np.array([0, 1, 7]), pixels, 0.1, readings, sweep_of(ROLLING, pixels))
     observation = observation_of("c1", "r1", 0, (view,)).moving(np.array([0.4, 0, 0, 0, 0, 0.9]))
-    swept = by_reading(observation.views[0], body_of(target))
-    still = by_reading(view, body_of(target))
-    for number, reading in enumerate(readings):
+    for reading in readings:
+        swept = corners_in_base(observation.views[0], reading, target)
+        still = corners_in_base(view, reading, target)
         points = points_of(observation.read_as((reading,)), target)
-        np.testing.assert_allclose(points.in_base(base_from_faces(target)), swept[number])
-        apart = swept[number] - still[number]
-        speed = np.array([0.4, 0, 0]) + np.cross([0, 0, 0.9], still[number])
+        np.testing.assert_allclose(points.in_base(base_from_faces(target)), swept)
+        apart = swept - still
+        speed = np.array([0.4, 0, 0]) + np.cross([0, 0, 0.9], still)
         np.testing.assert_allclose(apart, np.array([-200, 0, 200])[:, None] * 1e-4 * speed)
 
 

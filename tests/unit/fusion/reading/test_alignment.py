@@ -6,7 +6,6 @@ from msgspec.structs import replace
 
 from trigpoint.fusion.model.observations import Observation, Reading, View, observation_of
 from trigpoint.fusion.reading.alignment import Alignment, PosePrior, align
-from trigpoint.fusion.reading.visibility import body_of, corners_in_base
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.tools.simulation.sight.targets import target_of
@@ -31,8 +30,7 @@ def face_before_the_camera() -> int:
 
 
 def points_of(face: int) -> Array:
-    corners = np.arange(TARGET.faces[face].corner_count)
-    return corners_in_base(body_of(TARGET), corners, np.array(face), np.array(False))
+    return TARGET.faces[face].base_from_face @ TARGET.faces[face].corners
 
 
 def seen(at: Pose, *, noise_px: float = 0.0) -> Observation:

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from support.fusion.slow_readings import outermost, slow_rms_px
 
-from trigpoint.fusion.model.observations import Reading, View
+from trigpoint.fusion.model.observations import Reading, View, corners_in_base
 from trigpoint.fusion.model.rolling_shutter import Sweep
 from trigpoint.fusion.reading.best_readings import best_readings, readings_rms_px
-from trigpoint.fusion.reading.visibility import body_of, by_reading
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.site.target import Target
 from trigpoint.tools.simulation.sight.targets import target_of
@@ -62,11 +61,11 @@ def test_every_reading_has_its_own_misfit() -> None:
 
 def test_turned_reading_names_corners_from_the_other_end() -> None:
     target = target_of("checkerboard")
-    body = body_of(target)
     corners = np.array([0, 3, 7])
     both = (Reading(2), Reading(2, is_turned=True))
-    upright, turned = by_reading(View(corners, np.zeros((3, 2)), 0.2, both), body)
-    on_face = body.table[2, : body.counts[2]]
+    view = View(corners, np.zeros((3, 2)), 0.2, both)
+    upright, turned = (corners_in_base(view, reading, target) for reading in both)
+    on_face = target.faces[2].base_from_face @ target.faces[2].corners
     np.testing.assert_array_equal(upright, on_face[corners])
     np.testing.assert_array_equal(turned, on_face[::-1][corners])
 

@@ -6,7 +6,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from support.fusion.drives import lens
 
-from trigpoint.fusion.reading.planar_pose import planar_poses
+from trigpoint.fusion.association.sightings import planar_poses
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array

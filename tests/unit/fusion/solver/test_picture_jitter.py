@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from msgspec.structs import replace
+from support.fusion.picture_jitter import PictureJitter
 from support.fusion.slow_problem import about_best_fit, picture_of
 from support.fusion.small_problems import small_problem
 
@@ -15,7 +16,6 @@ from trigpoint.fusion.model.prediction import (
 )
 from trigpoint.fusion.model.problem import Batch, Problem, State
 from trigpoint.fusion.solver.levenberg_marquardt import linearise
-from trigpoint.fusion.solver.picture_jitter import PictureJitter
 from trigpoint.geometry import Pose
 
 JITTER = Jitter(sway=0.003, tilt=0.02)

@@ -23,7 +23,7 @@ from trigpoint.base.clock import to_ns
 from trigpoint.base.errors import ConfigError
 from trigpoint.contract import topics
 from trigpoint.contract.messages import Message, Odometry, PoseArray, Sightings
-from trigpoint.fusion.estimators.filters.contradictions import Step, contradictions
+from trigpoint.fusion.estimators.filters.replay import Step, contradictions
 from trigpoint.fusion.estimators.registry import check_estimator, make_estimator
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.model.known_cameras import KnownCameras
