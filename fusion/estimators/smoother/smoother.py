@@ -205,10 +205,6 @@ class Smoother(Live):
         return list(self._batch.state.cameras)
 
     @property
-    def work(self) -> float:
-        return self._explainer.work
-
-    @property
     def located_count(self) -> int:
         return len(self._batch.state.cameras)
 
