@@ -28,8 +28,6 @@ _MOST_A_TURN, _MOST_IN_BETWEEN = 8, 1
 # decimetres in which that is given.
 _SAME_FLOOR_M = 0.05
 _SAME_FLOOR_RAD = 0.01
-
-
 # A square's side below this many pixels is too small to be found.
 _LEAST_SQUARE_PX = 6.0
 _FURTHEST_M = 12.0

@@ -35,8 +35,6 @@ MINIMUM = Kernel(
     In(_REAL, ("k", "o")),
     Out(_REAL, (2,)),
 )
-
-
 START = Kernel(
     "tp_graph_start",
     *(Out(_REAL, ("n", 12)), In(_WHOLE, ("n", 2)), In(_WHOLE, ("r", 4))),

@@ -42,8 +42,6 @@ _WITHOUT_WILD = Kernel(
     Out(_REAL, ("v", 6)),
     Out(np.bool_, ("v", "n")),
 )
-
-
 _PLANE = Kernel(
     "tp_plane_poses",
     In(_REAL, ("p",)),

@@ -40,8 +40,6 @@ _LOG_LENGTH = 1.0
 _LOG_ODOMETRY = 1.0
 _LOG_SLIP = 2.0
 _FREE = 1e3
-
-
 _REAL = np.float64
 _STEADY = Jitter(0.0, 0.0)
 _MISFIT = Kernel(

@@ -27,8 +27,6 @@ from .visits import Visit, visits_of
 
 # Explanations that are worse than the best by more have no share in where a camera is.
 _COUNTS = 2 * window()
-
-
 _Spot = tuple[str, int]
 """A robot's node, or a camera's place."""
 

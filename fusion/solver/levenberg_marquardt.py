@@ -13,17 +13,15 @@ from trigpoint.native.library import Kernel, Out
 from .equations import EXACT, Equations, EquationsHandle, Reduced
 from .tables import PROBLEM, STATE, problem_tables, state_of, state_tables
 
+_MOST_REBUILDS = 20
+# A rebuilt problem differs from the extrapolated one by the square of these.
+_SCALE_TOLERANCE = 1e-4
+_OFFSET_TOLERANCE_S = 1e-4
 _MINIMISED = Kernel(
     "tp_minimised",
     *(EquationsHandle, *STATE, *PROBLEM),
     *(float, float, float, int, Out(np.float64, (4,))),
 )
-
-
-_MOST_REBUILDS = 20
-# A rebuilt problem differs from the extrapolated one by the square of these.
-_SCALE_TOLERANCE = 1e-4
-_OFFSET_TOLERANCE_S = 1e-4
 
 
 class Solution(Struct, frozen=True):

@@ -1,7 +1,7 @@
 """The messages of a session, or of anybody's bag, on their way to the estimator."""
 
 from collections.abc import Iterator, Sequence
-from itertools import groupby, repeat
+from itertools import groupby
 
 import numpy as np
 
@@ -15,6 +15,8 @@ from trigpoint.fusion.model.readings import Readings
 from trigpoint.recorder.session.recording import RecordedSample, Recording
 
 _MOST_TIMES = 3
+# Odometry of a robot that is read at once, in messages; their bytes are held until then.
+_BLOCK = 4096
 _TOPICS = (topics.CAMERA_INFO, topics.ODOMETRY, topics.SIGHTINGS, topics.DIAGNOSTICS)
 
 
@@ -26,7 +28,7 @@ class SessionMessages:
         self.misdescribed: dict[str, str] = {}
         self.robots: set[str] = set()
         self._found: list[tuple[int, bool, int, str, Message | int]] = []
-        self._odometry: dict[str, Readings] = {}
+        self._odometry: dict[str, list[Readings]] = {}
         self._refused: dict[tuple[str, str, str], tuple[str, list[int]]] = {}
 
     def add(self, node: str, message: Message, log_ns: int, *, order: int) -> None:
@@ -42,11 +44,13 @@ class SessionMessages:
         self._found.append((stamp_ns, isinstance(message, Sightings), order, node, message))
 
     def add_run(self, robot: str, readings: Readings, *, orders: Sequence[int]) -> None:
-        """Take all odometry of a robot, each message as which one it was recorded."""
+        """Take odometry of a robot, each message as which one it was recorded."""
         self.robots.add(robot)
-        self._odometry[robot] = readings
-        stamps_ns, rows = readings.stamps_ns.tolist(), range(len(readings))
-        self._found += zip(stamps_ns, repeat(False), orders, repeat(robot), rows, strict=False)
+        before = self._odometry.setdefault(robot, [])
+        each = zip(readings.stamps_ns.tolist(), orders, strict=True)
+        rows = enumerate(each, start=sum(map(len, before)))
+        self._found += [(stamp, False, order, robot, row) for row, (stamp, order) in rows]
+        before.append(readings)
 
     def refuse(self, node: str, topic: str, log_ns: int, reason: MessageError) -> None:
         """Count a message that is not sound, and was recorded at `log_ns`."""
@@ -63,10 +67,11 @@ class SessionMessages:
         """(camera or robot, message, or odometry without others between) in stamp order, lenses
         first."""
         found = sorted(self._found, key=lambda each: each[:3])
+        odometry = {robot: Readings.joined(some) for robot, some in self._odometry.items()}
         for robot, some in groupby(found, lambda each: each[3] if isinstance(each[4], int) else ""):
             if robot:
                 rows = np.array([row for *_, row in some])
-                yield robot, self._odometry[robot][rows]
+                yield robot, odometry[robot][rows]
             else:
                 yield from ((node, m) for *_, node, m in some if not isinstance(m, int))
 
@@ -94,20 +99,31 @@ def _words(times: Sequence[int]) -> str:
 
 def messages_of(recording: Recording) -> SessionMessages:
     found, doubts = SessionMessages(), DoubtFilter()
-    odometry = dict[str, list[tuple[int, RecordedSample]]]()
+    waiting = dict[str, list[tuple[int, RecordedSample]]]()
     for order, sample in enumerate(recording.samples(_TOPICS)):
         if sample.topic is topics.ODOMETRY:
-            odometry.setdefault(topics.node_of(sample.key), []).append((order, sample))
+            robot = topics.node_of(sample.key)
+            block = waiting.setdefault(robot, [])
+            block.append((order, sample))
+            if len(block) == _BLOCK:
+                _take_odometry(found, robot, waiting.pop(robot))
         elif sample.topic is not topics.DIAGNOSTICS or doubts.wants(sample.payload):
             _take(found, order, sample)
-    for robot, some in odometry.items():
-        read = cdr_layout.odometry_run([sample.payload for _, sample in some])
-        if read is not None and read[0].all():  # all of it is sound and stamped
-            found.add_run(robot, Readings(*read), orders=[order for order, _ in some])
-            continue
-        for order, sample in some:
-            _take(found, order, sample)
+    for robot, block in waiting.items():
+        _take_odometry(found, robot, block)
     return found
+
+
+def _take_odometry(
+    found: SessionMessages, robot: str, block: list[tuple[int, RecordedSample]]
+) -> None:
+    """Take messages of a robot as a run, or one by one if not all are sound, stamped and alike."""
+    read = cdr_layout.odometry_run([sample.payload for _, sample in block])
+    if read is not None and read[0].all():
+        found.add_run(robot, Readings(*read), orders=[order for order, _ in block])
+        return
+    for order, sample in block:
+        _take(found, order, sample)
 
 
 def _take(found: SessionMessages, order: int, sample: RecordedSample) -> None:

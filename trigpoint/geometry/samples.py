@@ -14,14 +14,15 @@ def unique(values: ArrayLike, axis: int | None = None) -> np.ndarray:
 
 def quantile(values: ArrayLike, share: float) -> float:
     """What this `share` of the values, of which none is NaN, lies below: interpolated between the
-    nearest two."""
+    nearest two, infinite where one is that counts. Raises IndexError where there are no values."""
     ordered: Array = np.sort(np.asarray(values, dtype=float), axis=None)
     place = share * (ordered.size - 1)
     row = int(place)
+    rest = place - row
     low, high = ordered.item(row), ordered.item(min(row + 1, ordered.size - 1))
-    return (high - low) * (place - row) + low
+    return low if rest == 0 or low == high else (1 - rest) * low + rest * high
 
 
 def median(values: ArrayLike) -> float:
-    """The value in the middle, or the mean of both that are."""
+    """The value in the middle, or the mean of both that are; otherwise as `quantile`."""
     return quantile(values, 0.5)

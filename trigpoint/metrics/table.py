@@ -154,9 +154,7 @@ METRICS: dict[str, tuple[Metric, ...]] = {
             "searches of a picture that were ended when its time was over",
         ),
         Metric(
-            "trigpoint_detection_seconds",
-            "detection.seconds",
-            "how long pictures were searched",
+            "trigpoint_detection_seconds", "detection.seconds", "how long pictures were searched"
         ),
         Metric(
             "trigpoint_sighting_delay_seconds",
@@ -385,8 +383,6 @@ OTHERS = (
     Metric("trigpoint_other_lost_total", "{name}.lost", "further losses, by name"),
     Metric("trigpoint_other_value", "{name}", "further gauges, by name"),
 )
-
-
 _IDENTITY = frozenset({"contract", "node", "process", "session"})
 
 

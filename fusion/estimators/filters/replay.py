@@ -28,8 +28,6 @@ from .filter_state import FilterState, Innovation, ReadSighting
 from .relative_pose import without_wild_corners
 
 _HISTORY = 64
-
-
 # With one wrong reading in twenty, so many in a row occur once in 160,000 times.
 _IN_A_ROW = 4
 

@@ -32,8 +32,6 @@ _MOST_ROUNDS = 6
 _MOST_LOOKS = 2
 # The predicted decrease of χ² at which a solution has converged: a hundredth of a sigma.
 _TOLERANCE = 1e-4
-
-
 _Excess = tuple[float, int, int]
 
 

@@ -15,7 +15,7 @@ namespace {
 using Index = Eigen::Index;
 
 // The disturbance of the robot that all corners of a picture share, of which `variances` are known:
-// eliminated, it leaves the squares of `left` and `own` (`PictureJitter`).
+// eliminated, it leaves the squares of what it does not explain and of its own prior's residual.
 struct Shared {
     Eigen::LLT<Matrix6d> information;
     const ByPoses& by;

@@ -6,8 +6,9 @@ from msgspec import structs
 from msgspec.structs import replace
 from support.fusion.drives import pushed
 from support.oracle.agreement import disagreements
-from support.oracle.sessions import Shape, SmallSession, small_session
+from support.oracle.sessions import Shape, SmallSession, data_of, small_session
 
+from trigpoint.fusion.association.engine import explain
 from trigpoint.fusion.pipeline import Inputs
 from trigpoint.map.network import Network
 from trigpoint.site.config import PriorConfig
@@ -71,3 +72,10 @@ def test_camera_a_long_way_off_is_located_as_well_as_odometry_says() -> None:
     assert camera.status == "located"
     assert camera.covariance is not None
     assert 2.0 < np.sqrt(np.trace(np.reshape(camera.covariance, (6, 6))[:3, :3])) < 20.0
+
+
+def test_explanation_of_nothing_wrong_has_no_events() -> None:
+    data, observations = data_of(Shape(0, (0, 1, 0), is_alike=False))
+    found = explain(data, observations)
+    assert not found.lifts
+    assert not found.moves

@@ -1,8 +1,10 @@
-"""Elimination against the dense matrix, and steps to the least cost."""
+"""Elimination against the dense matrix, steps to the least cost, and when rebuilding ends."""
 
 from collections.abc import Callable
 from functools import cache
 from itertools import pairwise
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -20,12 +22,15 @@ from support.fusion.small_problems import (
 from trigpoint.fusion.model.assembly import Assembled, assemble
 from trigpoint.fusion.model.jitter import Jitter
 from trigpoint.fusion.model.problem import Problem, State
+from trigpoint.fusion.solver import levenberg_marquardt
 from trigpoint.fusion.solver.equations import EXACT, covariance_of
 from trigpoint.fusion.solver.levenberg_marquardt import (
     Solution,
+    Solved,
     linearise,
     minimise,
     solve,
+    solve_consistently,
 )
 from trigpoint.geometry.rotation import Array
 
@@ -349,3 +354,25 @@ def test_information_that_determines_nothing_has_no_covariance(
         information[2, 2] = information[3, 3] = 0.5 * abs(spoilt)
     with pytest.raises(LinAlgError):
         covariance_of(information)
+
+
+@pytest.mark.parametrize(("has_converged", "solves"), [(False, 2), (True, 21)])
+def test_two_solves_in_a_row_that_do_not_converge_end_it(
+    has_converged: bool, solves: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = list[Any]()
+
+    def solved(*_: Any) -> Any:
+        robot = SimpleNamespace(scales=np.full(2, float(len(found))))
+        state = SimpleNamespace(cameras={}, robots={"r1": robot})
+        found.append(Solved(cast(Any, state), cast(Any, None), _solution(has_converged), 1))
+        return found[-1]
+
+    monkeypatch.setattr(levenberg_marquardt, "_solve_once", solved)
+    start = SimpleNamespace(cameras={}, robots={"r1": SimpleNamespace(scales=np.full(2, -1.0))})
+    solve_consistently(cast(Any, None), cast(Any, start), [], tolerance=1.0)
+    assert len(found) == solves
+
+
+def _solution(has_converged: bool) -> Any:
+    return SimpleNamespace(has_converged=has_converged)

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from msgspec.structs import replace
 from support.fusion.drives import (
@@ -17,7 +18,9 @@ from support.fusion.drives import (
 from trigpoint.contract import cdr, topics
 from trigpoint.contract.messages import CameraInfo, Mended, Message, Odometry, Sightings
 from trigpoint.fusion.model.readings import Readings
+from trigpoint.geometry import Pose
 from trigpoint.recorder.session.recording import open_recording
+from trigpoint.tools.sessions import messages as recorded
 from trigpoint.tools.sessions.messages import SessionMessages, messages_of
 from trigpoint.tools.simulation.sight.targets import target_of
 
@@ -83,3 +86,28 @@ def test_odometry_without_a_stamp_is_mended_beside_another_robots_run(
     ]
     assert mended == [("r2", (Mended.UNSTAMPED,))]
     assert {node for node, m in found.in_order if isinstance(m, Readings)} == {"r1"}
+
+
+def test_a_message_that_is_no_run_keeps_only_its_block_from_being_one(
+    two: Session, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recorded, "_BLOCK", 7)
+    own = [i for i, (node, m) in enumerate(two.messages) if node == "r2" and is_odometry(m)]
+    messages = list(two.messages)
+    for at, change in ((own[9], {"stamp_ns": 0}), (own[24], {"frame_id": "another"})):
+        messages[at] = "r2", replace(messages[at][1], **change)
+    folder = write_session(replace(two, messages=tuple(messages)), tmp_path)
+    found, expected = messages_of(open_recording(folder)), one_by_one(folder)
+    assert flat(found) == flat(expected)
+    assert found.count == expected.count
+    assert sum(is_odometry(m) for _, m in found.in_order) == 2 * 7
+
+
+def test_a_run_has_as_many_orders_as_messages() -> None:
+    readings = Readings(np.array([1, 2]), Pose.identity().repeated(2))
+    with pytest.raises(ValueError, match="shorter"):
+        SessionMessages().add_run("r1", readings, orders=[0])
+
+
+def is_odometry(message: Message | Readings) -> bool:
+    return isinstance(message, Odometry)

@@ -168,6 +168,9 @@ def test_kalibrs_checkerboard_is_imported_by_its_squares(tmp_path: Path) -> None
     ("text", "why"),
     [
         (APRIL.replace("tagSize: 0.088", "tagSize: -1"), "$.tagSize"),
+        (APRIL.replace("tagSize: 0.088", "tagSize: .inf"), "$.tagSize"),
+        (APRIL.replace("tagSpacing: 0.3", "tagSpacing: .inf"), "$.tagSpacing"),
+        (CHECKER.replace("rowSpacingMeters: 0.06", "rowSpacingMeters: .inf"), "$.rowSpacingMeters"),
         (APRIL.replace("tagRows: 5\n", ""), "missing required field `tagRows`"),
         (APRIL + "tagBits: 2\n", "unknown field `tagBits`"),
         (CHECKER.replace("rowSpacingMeters: 0.06", "rowSpacingMeters: 0.05"), "square squares"),

@@ -47,6 +47,7 @@ def test_unknown_key_names_line_and_nearest_key() -> None:
         (site_text(more="[cameras.c9]\nwidth = 3"), "cameras.c9 needs the key «source»"),
         (site_text(more='[cameras.c9]\nsource = "nowhere"'), "source «nowhere» is no URL"),
         (site_text(more='[cameras.c9]\nsource = "a://b"\nrate = -1.0'), "cameras.c9.rate"),
+        (site_text(more='[cameras.c9]\nsource = "a://b"\nrate = inf'), "cameras.c9.rate"),
         (site_text(more='[cameras.c9]\nsource = "a://b"\nline_delay = 30.0'), "30 µs is 30e-6"),
         (site_text(more='[cameras.c9]\nsource = "a://b"\nline_delay = nan'), "line_delay is nan"),
         (site_text(more="[robots.r9.odometry]\ndistance = -1.0"), "robots.r9"),

@@ -1,8 +1,7 @@
 """What hangs on one gap of odometry alone."""
 
-from support.oracle.sessions import Shape, data_of, graph_of
+from support.oracle.sessions import Shape, graph_of
 
-from trigpoint.fusion.association.engine import explain
 from trigpoint.fusion.association.graph import Tie
 from trigpoint.fusion.association.world import tied_twice
 
@@ -20,10 +19,3 @@ def test_without_a_loop_only_where_the_map_begins_is_sure() -> None:
     assert {
         spot for spot in tied_twice(graph, {}, {0: 0, 1: 0}, frozenset()) if "c" in spot[0]
     } == {("c1", 0)}
-
-
-def test_explanation_of_nothing_wrong_has_no_events() -> None:
-    data, observations = data_of(Shape(0, (0, 1, 0), is_alike=False))
-    found = explain(data, observations)
-    assert not found.lifts
-    assert not found.moves
