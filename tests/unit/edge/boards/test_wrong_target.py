@@ -240,6 +240,15 @@ def test_board_that_another_robot_carries_too_is_found_beside_one_that_is_contra
     assert detector.misdescribed == ()
 
 
+def test_rest_of_a_board_that_is_contradicted_is_not_found() -> None:
+    """Something hides a part of it."""
+    true = charuco(9, 6)
+    view = placed(true, distance=1.5804, x=-0.11526, y=0.03271, turn_deg=233.549, tilt_deg=-23.922)
+    picture = picture_of([view], noise=3.0, seed=90)
+    picture[289:438, 265:369] = 90
+    assert detector_for([target_of(replace(true, first_marker=1))]).detect(picture) == ()
+
+
 @settings(max_examples=12, deadline=None)
 @given(
     st.sampled_from([charuco(5, 4), charuco(8, 6, legacy=True), aprilgrid(4, 3)]),
