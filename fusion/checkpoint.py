@@ -29,17 +29,21 @@ CHECKPOINT = "checkpoint.bin"
 PAST = "past.bin"
 """The name of the summary of what came before it (`past_file`)."""
 _FULL = re.compile(r"checkpoint-([0-9]{6})\.bin")
-_MAGIC = b"trigpoint-checkpoint/2\n"
+_MAGIC, _EARLIER = b"trigpoint-checkpoint/2\n", b"trigpoint-checkpoint/1\n"
 _HEAD = struct.Struct("<II")
 _FLUSH_NS = to_ns(0.5)
 _MOST_RECORD = 16 * 1024 * 1024
 _MOST_WAITING = 64 * 1024
-# A record's body begins so, as zlib's output does.
-_BODY = re.compile(rb"\x78")
+# zlib's output begins with this, and no CDR message does.
+_COMPRESSED = b"\x78"
+# A record's body begins so: compressed, or in earlier files one message, a msgpack array of two
+# that begins with a text of up to 255 bytes.
+_BODY = re.compile(rb"\x78|\x92[\xa0-\xbf\xd9]")
 
 _log = logging.getLogger(__name__)
 
 _Messages = list[tuple[str, bytes]]
+_MESSAGE = msgspec.msgpack.Decoder(tuple[str, bytes])
 _MESSAGES = msgspec.msgpack.Decoder(_Messages)
 
 
@@ -188,7 +192,7 @@ def _is_ours(path: Path) -> bool:
     same."""
     with path.open("rb") as file:
         head = file.read(len(_MAGIC))
-    return not head or head == _MAGIC or next(_records(path), None) is not None
+    return not head or head in (_MAGIC, _EARLIER) or next(_records(path), None) is not None
 
 
 class _Record(NamedTuple):
@@ -218,7 +222,7 @@ def _records(path: Path, until: int | None = None) -> Iterator[_Record]:
 
 
 def _sound(path: Path, data: mmap.mmap) -> Iterator[_Record]:
-    start = len(_MAGIC) if data[: len(_MAGIC)] == _MAGIC else 0
+    start = len(_MAGIC) if data[: len(_MAGIC)] in (_MAGIC, _EARLIER) else 0
     while start < len(data):
         record = _record_at(data, start)
         if record is None:
@@ -249,9 +253,17 @@ def _record_at(data: mmap.mmap, start: int) -> _Record | None:
     if zlib.crc32(body) != checksum:
         return None
     try:
-        return _Record(start, end, _MESSAGES.decode(zlib.decompress(body)))
+        return _Record(start, end, _messages_of(body))
     except (msgspec.DecodeError, zlib.error):
         return None
+
+
+def _messages_of(body: bytes) -> _Messages:
+    """The messages of a record; raise DecodeError or zlib.error where there are none."""
+    if body.startswith(_COMPRESSED):
+        return _MESSAGES.decode(zlib.decompress(body))
+    key, payload = _MESSAGE.decode(body)  # of an earlier file
+    return [(key, zlib.decompress(payload) if payload.startswith(_COMPRESSED) else payload)]
 
 
 def _next_record(data: mmap.mmap, start: int) -> _Record | None:

@@ -9,6 +9,7 @@ import logging
 from collections import deque
 from pathlib import Path
 from threading import Event, Lock
+from typing import Any
 from uuid import UUID
 
 import msgspec
@@ -18,7 +19,7 @@ from trigpoint import __version__
 from trigpoint.geometry.rotation import Array
 from trigpoint.node.watchdog import Pulse
 
-from .checked_file import checked_body, packed, save_checked, unpacked
+from .checked_file import checked_body, save_checked
 from .live.solver_messages import Shares, Solved
 from .model.dataset import Conclusions
 from .model.inputs import Inputs
@@ -85,10 +86,10 @@ class SolutionFile:
 
     def _write(self, solution: Solved, map_id: UUID | None) -> None:
         document = self._document(solution, map_id)
-        whole = packed(document)
+        packed = msgspec.msgpack.encode(document, enc_hook=_plain)
         covariance = np.ascontiguousarray(solution.known.known.covariance).data.cast("B")
         # The covariance is not copied, and written without the interpreter's lock.
-        body = len(whole).to_bytes(_LENGTH, "little"), whole, covariance
+        body = len(packed).to_bytes(_LENGTH, "little"), packed, covariance
         try:
             save_checked(self._path, _MAGIC, *body, is_synced=False)
         except OSError as reason:
@@ -116,12 +117,13 @@ class SolutionFile:
             if body is None:
                 raise ValueError("it is damaged, or another version's")
             end = _LENGTH + int.from_bytes(body[:_LENGTH], "little")
-            document = unpacked(memoryview(body)[_LENGTH:end], _Document)
+            packed = memoryview(body)[_LENGTH:end]
+            document = msgspec.msgpack.decode(packed, type=_Document, dec_hook=_array)
             size = len(document.mean)
             covariance = np.frombuffer(body, offset=end).reshape(size, size).copy()
         except FileNotFoundError:
             return None
-        except (OSError, ValueError) as reason:
+        except (OSError, ValueError) as reason:  # msgspec's are ValueErrors
             _log.warning("%s: not used (%s)", self._path, reason)
             return None
         if document.map_id != str(map_id):
@@ -171,4 +173,21 @@ def _digest(inputs: Inputs) -> bytes:
         *(inputs.targets, inputs.lenses, known.poses, known.information, known.until_ns),
         *(known.faces, values, __version__),
     )
-    return hashlib.sha256(packed(parts)).digest()
+    return hashlib.sha256(msgspec.msgpack.encode(parts, enc_hook=_plain)).digest()
+
+
+def _plain(value: Any) -> object:
+    """What msgpack does not have, by what it has."""
+    if isinstance(value, np.ndarray):
+        return value.dtype.str, value.shape, value.tobytes()
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, Path):
+        return str(value)
+    raise NotImplementedError(f"no form for {type(value)}")
+
+
+def _array(_type: Any, plain: Any) -> np.ndarray:
+    """An array of a document; ValueError where it is none."""
+    kind, shape, data = plain
+    return np.frombuffer(data, kind).reshape(shape).copy()

@@ -37,8 +37,7 @@ _Pair = tuple[str, str]
 
 
 class Explainer:
-    """The observations so far, and their last explanation. Not thread-safe. `work`: what that
-    cost, with its draft."""
+    """The observations so far, and their last explanation. Not thread-safe."""
 
     def __init__(self, data: DataSet) -> None:
         self._data = data
@@ -47,7 +46,6 @@ class Explainer:
         self._undecided: frozenset[str] = frozenset()
         self.explanation: Explanation | None = None
         self._is_told = False
-        self.work = self._of_draft = 0.0
         # How many observations the last explanation covers, and what it left unexplained; what has
         # come since, and what of that is unexplained.
         self._explained = 0
@@ -113,8 +111,6 @@ class Explainer:
             undecided=self._undecided,
             is_draft=is_draft,
         )
-        self.work = self._of_draft + self._memory.budget.spent
-        self._of_draft = self.work if is_draft else 0.0
         return self.explanation
 
     def note(self, entries: list[Entry]) -> None:

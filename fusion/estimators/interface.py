@@ -113,12 +113,6 @@ class Live(Protocol):
         """How many cameras are located."""
         ...
 
-    @property
-    def work(self) -> float:
-        """How much the last explanation cost, in units of the association's budget; 0 where none
-        was made here."""
-        return 0.0
-
     def guidance_world(self) -> GuidanceWorld | None:
         """A copy of what is known for guidance to work on; None where there is too little yet, or
         the estimator does not solve for all poses of the robot at once."""

@@ -124,9 +124,8 @@ class RobotIdentification:
     def by_place(self, estimator: Live, *, is_end: bool = False) -> list[Observation]:
         """The pictures left out so far that the poses of robots and cameras identify now; tried
         again once there are more of either, or more pictures, and at the end, where only a few more
-        of located cameras are not used. They have the session explained anew, which this budget
-        pays: where it does not suffice for as much as that took last, they are left."""
-        if not self._left or self._budget.spent + estimator.work >= self._budget.allowed:
+        of located cameras are not used."""
+        if not self._left or self._budget.is_spent:
             return []
         tied = sum(estimator.robot(robot) is not None for robot in self._data.site.robots)
         looked = (self.untold, estimator.located_count, tied)
@@ -140,7 +139,6 @@ class RobotIdentification:
         if is_end and len(found) < few and all(places.camera(seen.camera) for seen in found):
             self._left, self.untold = before
             return []
-        self._budget.spent += estimator.work if found else 0.0
         return found
 
     def _shown_by_cameras(self, places: PastPoses) -> list[Observation]:
@@ -148,9 +146,6 @@ class RobotIdentification:
         found: list[Observation] = []
         left, self._left = self._left, deque(maxlen=_MOST_LEFT)
         for camera, picture in left:
-            if self._budget.is_spent:
-                self._left.append((camera, picture))
-                continue
             own: dict[str, list[View]] = {}
             rest = []
             for face in picture.faces:
@@ -330,8 +325,6 @@ class RobotIdentification:
     def _fits(self, camera: str, pictures: list[Picture]) -> dict[str, RobotFit]:
         """By robot, how it explains pictures; empty where the budget does not suffice for all of
         the robots: one that nothing was held against would lead."""
-        if self._budget.is_spent:
-            return {}
         found = fits(self._data, camera, pictures, self._events, self._memory)
         return {} if self._budget.is_spent else found
 

@@ -126,19 +126,22 @@ class PoseInformation(Struct, frozen=True, eq=False):
 
 def information_at(eye: Eye, faces: Faces, map_from_base: Pose) -> PoseInformation:
     """What a camera's picture tells of a robot at each of its poses (n)."""
-    _, information = look(eye, faces, map_from_base)
-    rows = np.flatnonzero(information.any(axis=(1, 2)))
-    return PoseInformation(rows, information[rows])
-
-
-def look(
-    eye: Eye, faces: Faces, map_from_base: Pose, rules: Rules = DETECTED
-) -> tuple[np.ndarray, Array]:
-    """Which corners (n, f, c) of its faces a camera finds at a robot's poses (n), none where too
-    few of a face are seen; and the information (n, 6, 6) of its picture on the disturbance of each
-    pose."""
-    seen = np.empty((len(map_from_base), *faces.shape), dtype=bool)
     information = np.zeros((len(map_from_base), 6, 6))
+    _look(eye, faces, map_from_base, DETECTED, information)
+    rows = np.flatnonzero(information.any(axis=(1, 2)))
+    return PoseInformation(rows, information[rows] / eye.sigma_px**2)
+
+
+def corners_found(eye: Eye, faces: Faces, map_from_base: Pose, rules: Rules) -> np.ndarray:
+    """Which corners (n, f, c) of its faces a camera finds at a robot's poses (n); none where too
+    few of a face are seen."""
+    return _look(eye, faces, map_from_base, rules, np.zeros((0, 6, 6)))
+
+
+def _look(
+    eye: Eye, faces: Faces, map_from_base: Pose, rules: Rules, information: Array
+) -> np.ndarray:
+    seen = np.empty((len(map_from_base), *faces.shape), dtype=bool)
     bounds = rules.least_cosine, rules.least_side_px, _widest_rad(eye.lens), _scale_px(eye.lens)
     _SIGHT(
         *(eye.lens.parameters, eye.lens.limits(rules.margin_px), np.array(bounds)),
@@ -148,7 +151,7 @@ def look(
         np.ascontiguousarray(map_from_base.translation),
         *(*faces.tables, seen, information),
     )
-    return seen, information / eye.sigma_px**2
+    return seen
 
 
 @lru_cache

@@ -2,8 +2,6 @@
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from trigpoint.base.errors import InputError
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
@@ -14,7 +12,7 @@ from trigpoint.tools.pages.floor_plan import picture_matrix, png
 
 from .entities import Fields
 
-_SHADES = 16  # of grey: enough, and the file is smaller
+_SHADES = 16
 _MOST_PIXELS = 1200
 """A side; walls are still seen, and the picture of a hall has some tens of kilobytes."""
 
@@ -29,7 +27,7 @@ class Floor:
         self._laying = LiveLaying(site.map, plan)
         self._building = self._laying.given()
         self._trouble = ""
-        self.picture = b"" if self._plan is None else png(_in_shades(self._plan.pixels))
+        self.picture = b"" if self._plan is None else png(self._plan.pixels, colours=_SHADES)
 
     def take(
         self, entities: Sequence[str], poses: Pose, covariances: Array, stamps_ns: Sequence[int]
@@ -61,8 +59,3 @@ class Floor:
             matrix = picture_matrix(corners[:, :2], columns, rows)
             found |= {"size": [columns, rows], "matrix": [round(value, 6) for value in matrix]}
         return found
-
-
-def _in_shades(pixels: np.ndarray) -> np.ndarray:
-    step = 255 // (_SHADES - 1)
-    return np.rint(pixels / step).astype(np.uint8) * step

@@ -165,10 +165,6 @@ class SequentialEstimator(Live):
         return {name: e for name, e in estimates.items() if is_placed(e.covariance)}
 
     @property
-    def work(self) -> float:
-        return self._explainer.work
-
-    @property
     def located_count(self) -> int:
         return len(self._filter_state.cameras)
 

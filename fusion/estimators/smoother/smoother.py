@@ -53,6 +53,7 @@ class Smoother(Live):
         self._past_paths: dict[str, list[Trajectory]] = defaultdict(list)
         self._is_kept_whole = limits.paths and data.has_alike_robots
         self._collected = 0
+        self._asked_ns = -1  # until then it was asked which cameras were moved unseen
         self._explainer = Explainer(data)
         self._batch = BatchSolution(data)
         self._current = CurrentFilter(data)
@@ -151,11 +152,20 @@ class Smoother(Live):
     def _solved(self) -> Filter:
         """Explain and solve everything, and anew with each move that only the solution shows."""
         known = self._batch.solve(self._explainer.explain(self._batch.scales))
+        since_ns = self._asked_ns
+        self._asked_ns = max(entry.observation.stamp_ns for entry in self.data.entries)
         for _ in self.data.site.cameras:
-            move = unseen_move(self.data, self._batch.state)
+            try:
+                move = unseen_move(self.data, self._batch.state, since_ns)
+            except LinAlgError:  # what does not determine a place tells of no move
+                break
             if move is None or not self.data.tell(move):
                 break
-            known = self._batch.solve(self._explainer.explain(self._batch.scales))
+            try:
+                known = self._batch.solve(self._explainer.explain(self._batch.scales))
+            except (LinAlgError, ValueError):  # the solution before it stands
+                self.data.told.remove(move)
+                break
         return known
 
     @property
@@ -203,10 +213,6 @@ class Smoother(Live):
     def located(self) -> list[str]:
         """Every place of a camera that is located."""
         return list(self._batch.state.cameras)
-
-    @property
-    def work(self) -> float:
-        return self._explainer.work
 
     @property
     def located_count(self) -> int:

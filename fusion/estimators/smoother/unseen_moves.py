@@ -2,12 +2,13 @@
 
 The association knows each camera by its own covariance. How cameras lie to their neighbours a map
 of many drives knows far better: one that was shifted by less than its own sigma may be off by many
-of those that the solution has. So the solution is asked: each visit is given a place of its own,
-the equations are reduced to all these places, and for each moment between two visits of a camera
-it is compared whether it was moved then or not.
+of those that the solution has. So the solution is asked: each of its newest visits is given a place
+of its own, the equations are reduced to all these places, and for each moment between two of them
+it is compared whether the camera was moved then or not.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from itertools import chain
 
 import numpy as np
 from msgspec import Struct
@@ -25,26 +26,46 @@ from trigpoint.geometry.rotation import Array
 _AWAY_NS = 10 * NANOSECONDS
 # A single visit may be wrong.
 _FEWEST_VISITS = 2
+# So many visits to a place are told apart, from those before, and of so many places at once.
+_MOST_VISITS, _MOST_PLACES = 4, 16
 
 
 class _Part(Struct, frozen=True):
-    """What one visit shows of a place, or what is known of it from before (no `entries`). `place`,
-    `name`: the names of the place and of this part of it among the cameras."""
+    """What one visit shows of a place, or all before the newest ones. `place`, `name`: the names of
+    the place and of this part of it among the cameras; `is_sure`: whether it rests on more than a
+    single visit."""
 
     place: str
     name: str
     entries: tuple[int, ...]
+    is_sure: bool
 
 
-def unseen_move(data: DataSet, state: State) -> CameraMove | None:
-    """The move of a camera that is likeliest beside none, of a data set that is solved, at its
-    `state`; None where none is likelier. Raises LinAlgError where a visit by itself does not
-    determine its camera's place."""
+def unseen_move(data: DataSet, state: State, since_ns: int) -> CameraMove | None:
+    """The move of a camera that is likeliest beside none, of those that were seen since a moment,
+    of a data set that is solved, at its `state`; None where none is likelier. Raises LinAlgError
+    where a visit by itself does not determine its camera's place."""
     parts = _parts(data, state)
-    candidates = [(mine, number) for mine in parts.values() for number in _moments(mine)]
-    if not candidates:
-        return None
-    places = _Places(_apart(data, state, parts), parts)
+    asked = [
+        mine
+        for mine in parts.values()
+        if any(_moments(mine)) and _newest_ns(data, mine[-1].entries) > since_ns
+    ]
+    found = [
+        _likeliest(data, state, parts, asked[first : first + _MOST_PLACES])
+        for first in range(0, len(asked), _MOST_PLACES)
+    ]
+    score, move = min(found, key=lambda each: each[0], default=(0.0, None))
+    return move if score < 0 else None
+
+
+def _likeliest(
+    data: DataSet, state: State, parts: dict[str, list[_Part]], asked: list[list[_Part]]
+) -> tuple[float, CameraMove]:
+    """The likeliest move of these places, and its score beside none."""
+    apart = {place: [_joined(mine)] for place, mine in parts.items()}
+    apart |= {mine[0].place: mine for mine in asked}
+    places = _Places(_apart(data, state, apart), apart)
     events, count = Events(data.site.fusion.priors), len(data.changes)
     prior = events.happened(count + 1) - events.happened(count) + events.pose_score
 
@@ -52,18 +73,15 @@ def unseen_move(data: DataSet, state: State) -> CameraMove | None:
         pushed = _innovation(step, covariance + events.push)
         return prior + events.moved(pushed) - _innovation(step, covariance)
 
-    scores = [score(*places.moved(mine, number)) for mine, number in candidates]
+    moments = [(mine, number) for mine in asked for number in _moments(mine)]
+    scores = [score(*places.moved(mine, number)) for mine, number in moments]
     best = int(np.argmin(scores))
-    return _between(data, *candidates[best]) if scores[best] < 0 else None
+    return scores[best], _between(data, *moments[best])
 
 
 def _parts(data: DataSet, state: State) -> dict[str, list[_Part]]:
-    """By place, its parts in order of time."""
-    visits: dict[str, list[list[int]]] = {
-        place: [[]] if place in data.known.poses else []
-        for place in data.camera_names
-        if place in state.cameras
-    }
+    """By place that is known or was seen, its parts in order of time."""
+    visits = {place: list[list[int]]() for place in data.camera_names if place in state.cameras}
     seen_ns: dict[str, int] = {}
     stamps = {i: data.entries[i].observation.stamp_ns for i in data.usable(state.cameras)}
     for index, stamp_ns in sorted(stamps.items(), key=lambda item: item[1]):
@@ -72,19 +90,32 @@ def _parts(data: DataSet, state: State) -> dict[str, list[_Part]]:
             visits[place].append([])
         visits[place][-1].append(index)
         seen_ns[place] = stamp_ns
-    return {
-        place: [
-            _Part(place, place if each is mine[-1] else f"{place}#{n}", tuple(each))
-            for n, each in enumerate(mine)
+    found = {}
+    for place, mine in visits.items():
+        older, is_known = mine[:-_MOST_VISITS], place in data.known.poses
+        is_sure = is_known or len(older) >= _FEWEST_VISITS
+        parts = [(list(chain(*older)), is_sure)] if older or is_known else []
+        parts += [(each, False) for each in mine[-_MOST_VISITS:]]
+        found[place] = [
+            _Part(place, place if n == len(parts) - 1 else f"{place}#{n}", tuple(each), is_sure)
+            for n, (each, is_sure) in enumerate(parts)
         ]
-        for place, mine in visits.items()
-    }
+    return {place: mine for place, mine in found.items() if mine}
+
+
+def _newest_ns(data: DataSet, entries: Sequence[int]) -> int:
+    return max(data.entries[index].observation.stamp_ns for index in entries)
+
+
+def _joined(parts: list[_Part]) -> _Part:
+    entries = tuple(index for part in parts for index in part.entries)
+    return _Part(parts[0].place, parts[0].place, entries, is_sure=True)
 
 
 def _moments(parts: list[_Part]) -> Iterator[int]:
     """The numbers of the parts of a place before which its camera may have been moved."""
     for number in range(1, len(parts) - _FEWEST_VISITS + 1):
-        if not parts[0].entries or number >= _FEWEST_VISITS:
+        if parts[0].is_sure or number >= _FEWEST_VISITS:
             yield number
 
 

@@ -1,8 +1,12 @@
 """What came in is on the disk: whole, cut off, foreign."""
 
+import struct
+import zlib
+from collections.abc import Callable
 from pathlib import Path
 from random import Random
 
+import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -59,6 +63,22 @@ def test_odometry_of_half_a_second_takes_a_tenth_of_its_length(tmp_path: Path) -
     checkpoint.close()
     assert [payload for _, payload in read_checkpoint(path)] == messages
     assert path.stat().st_size < sum(map(len, messages)) / 10
+
+
+@pytest.mark.parametrize("packed", [bytes, zlib.compress])
+def test_file_of_before_messages_were_compressed_together_is_read_and_goes_on(
+    tmp_path: Path, packed: Callable[[bytes], bytes]
+) -> None:
+    path = tmp_path / "checkpoint.bin"
+    key, payload = (
+        "lab/robot/r1/odom",
+        encode(Odometry(1, "r1/odom", "r1/base", Pose.identity())),
+    )
+    body = msgspec.msgpack.encode((key, packed(payload)))
+    record = struct.pack("<II", len(body), zlib.crc32(body)) + body
+    path.write_bytes(b"trigpoint-checkpoint/1\n" + b"damaged" + 2 * record)
+    write(path, RECORDS)
+    assert list(read_checkpoint(path)) == [(key, payload), (key, payload), *RECORDS]
 
 
 def test_no_file_holds_nothing(tmp_path: Path) -> None:

@@ -73,22 +73,6 @@ def test_few_more_sightings_of_located_cameras_are_no_reason_to_explain_all_anew
         assert identification.untold == count * (not is_told)
 
 
-def test_what_places_tell_pays_for_explaining_anew(pipeline: Pipeline) -> None:
-    data, estimator = pipeline._data, pipeline._estimator  # pyright: ignore[reportPrivateUsage]
-    seen = next(e.observation for e in data.entries if e.observation.camera == "c1")
-    faces = tuple({str(robot): view for robot in ("r1", "r2")} for view in seen.views)
-    assert estimator.work > 0
-    for short, is_told in ((1.0, False), (-estimator.work, True)):
-        identification = RobotIdentification(data)
-        budget = identification._budget  # pyright: ignore[reportPrivateUsage]
-        for _ in range(len(data.entries) // 10):
-            identification.add("c1", seen.stamp_ns, faces)
-            identification.ready(is_end=True)
-        before = budget.spent = budget.allowed - estimator.work + short
-        assert bool(identification.by_place(estimator, is_end=True)) is is_told
-        assert (budget.spent - before >= estimator.work) is is_told
-
-
 @pytest.mark.long
 def test_a_face_that_two_robots_explain_is_not_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

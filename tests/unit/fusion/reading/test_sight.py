@@ -7,7 +7,7 @@ from msgspec import structs
 from trigpoint.fusion.coverage.floor import HEADINGS, standing
 from trigpoint.fusion.model.observations import base_from_faces
 from trigpoint.fusion.model.projection import projected
-from trigpoint.fusion.reading.sight import Eye, Faces, information_at, look
+from trigpoint.fusion.reading.sight import DETECTED, Eye, Faces, corners_found, information_at
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.camera import LensModel
 from trigpoint.geometry.rotation import Array
@@ -67,7 +67,7 @@ def test_a_robot_is_seen_where_the_labs_detector_finds_a_face(
     each = seen_faces_each(target, bases, camera.map_from_camera, camera.lens, ())
     shown = [[face for face in faces if face.is_found(LEAST_SIDE_PX)] for faces in each]
     truth = np.array([bool(faces) for faces in shown])
-    corners = look(camera, faces, bases)[0]
+    corners = corners_found(camera, faces, bases, DETECTED)
     assert np.array_equal(corners.any(axis=(1, 2)), found)
     assert 40 < truth.sum() < len(truth) - 40
     # Sheets have a white edge beyond the pattern, which hides a corner or two more.
@@ -110,6 +110,6 @@ def test_a_board_that_turns_its_back_is_not_seen() -> None:
 def test_a_face_of_one_corner_is_seen_beside_another() -> None:
     [face, *_] = target_of("charuco").faces
     target = Target("two", (face, structs.replace(face, id=1, columns=2, rows=2)))
-    seen = look(eye(BARREL), mounted(target), standing(np.array([[2.0, 0.5]])))[0]
+    seen = corners_found(eye(BARREL), mounted(target), standing(np.array([[2.0, 0.5]])), DETECTED)
     assert seen[:, 1, 0].any()
     assert not seen[:, 1, 1:].any()
