@@ -66,7 +66,7 @@ class MisdescribedBoards:
         self._waiting, self._faces = list(readings(looks)), faces
         self._firsts = sorted({face.first_marker for face in faces})
         self._ids = max([_MOST_IDS, *(face.first_marker + face.marker_count for face in faces)])
-        self._finders = QuadFinder(), QuadFinder(parts_touching=True)
+        self._finders = QuadFinder(parts_touching=True), QuadFinder()
         self._pictures, self._untried = 0, len(self._waiting)
         self._quads: deque[int] = deque(maxlen=_LATELY)
         self._eager = _MOST_EAGER
@@ -255,8 +255,10 @@ class _Scene:
 
 
 def _quads(grey: np.ndarray, finders: Sequence[QuadFinder]) -> Array:
-    """The dark quadrilaterals (n, 4, 2) that any of the finders sees, each once: a board may have
-    squares that touch its tags, and who looks for such loses small markers beside other squares."""
+    """The dark quadrilaterals (n, 4, 2) that any of the finders sees, each once, as the first has
+    it. A board may have squares that touch its tags: who looks for such goes first, since the other
+    one sees whole clumps of them; it loses small markers beside other squares, which the other one
+    adds."""
     quads = finders[0].find(grey)
     for finder in finders[1:]:
         more = finder.find(grey)
