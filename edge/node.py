@@ -11,6 +11,7 @@ from trigpoint.base.clock import Clock, SteadyClock, to_seconds
 from trigpoint.base.errors import FrameError
 from trigpoint.bus.bus import Bus, Publisher
 from trigpoint.contract.cdr import encode, warm_up
+from trigpoint.contract.clock_doubt import REFUSED_FROM
 from trigpoint.contract.messages import CameraInfo, FaceSighting, Sightings
 from trigpoint.contract.nudge import NUDGED, NUDGES, Nudge
 from trigpoint.contract.topics import CAMERA_INFO, IMAGE, SIGHTINGS, Topic, command_key
@@ -99,7 +100,8 @@ class EdgeNode:
             self._site,
             self._clock.now_ns,
             self._site.bearable_clock_offset_s(self._camera),
-            f"what camera {self._camera} sees is not used beside clocks that are right",
+            f"from {REFUSED_FROM:g} times that on, what camera {self._camera} sees is not used "
+            "beside clocks that are right",
         )
         self._node.work("clock", watch.run)
 

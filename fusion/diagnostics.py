@@ -94,8 +94,7 @@ class Diagnostics:
                 found[name] = problem.text
         if pipeline.is_clock_set:
             found["clock"] = "no corrections: this machine's clock was set and is not followed yet"
-        found |= {f"doubted {node}": text for node, text in pipeline.doubted.items()}
-        for part in (self._stale, self._silent, self._apart):
+        for part in (self._doubted, self._stale, self._silent, self._apart):
             found |= dict(part(pipeline, now_ns))
         return found
 
@@ -108,6 +107,14 @@ class Diagnostics:
             told.count, told.grown_ns = count, now_ns
         is_lasting = told.grown_ns - told.since_ns >= _STALE_NS
         return now_ns - told.grown_ns < _TOLD_NS and (is_lasting or not name.startswith(_BACKLOG))
+
+    def _doubted(self, pipeline: Pipeline, _now_ns: int) -> Iterator[tuple[str, str]]:
+        """Cameras and robots that say that they cannot be relied on."""
+        moved = {f"camera {name}": text for name, text in pipeline.nudges.open.items()}
+        clocks = pipeline.clocks.open
+        for node in moved | clocks:
+            said = [found[node] for found in (moved, clocks) if node in found]
+            yield f"doubted {node}", "; ".join(said)
 
     def _apart(self, pipeline: Pipeline, now_ns: int) -> Iterator[tuple[str, str]]:
         """Cameras that see targets now, but never at a time from which there is odometry."""

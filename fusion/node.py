@@ -13,7 +13,7 @@ from trigpoint.base.ending import ENDING
 from trigpoint.base.errors import OperationError
 from trigpoint.bus.bus import Bus, Sample
 from trigpoint.contract import cdr, topics
-from trigpoint.contract.messages import CameraInfo, Message, OccupancyGrid
+from trigpoint.contract.messages import CameraInfo, Diagnostics, Message, OccupancyGrid
 from trigpoint.contract.topics import command_key
 from trigpoint.map.network import encode_network
 from trigpoint.node.node import Node
@@ -23,7 +23,7 @@ from trigpoint.security.authenticator import correction_signer
 
 from .checkpoint import CHECKPOINT
 from .coverage.announced import AnnouncedMap
-from .diagnostics import Diagnostics
+from .diagnostics import Diagnostics as InputDiagnostics
 from .estimators.results import Results
 from .fair_lock import FairLock
 from .fixed.network import FixedNetwork
@@ -87,7 +87,7 @@ class FusionNode:
         self._pipeline = self._maker.make(self._holding.fixed, is_live=False)
         self._announced: dict[str, bytes] = {}
         signer = correction_signer(inputs.site, clock)
-        self._diagnostics = Diagnostics(inputs.site, self._admission)
+        self._diagnostics = InputDiagnostics(inputs.site, self._admission)
         self._inbox = Inbox(bus, node, clock, self._admission, self._diagnostics)
         self._publishing = Publishing(bus, inputs.site, node.health, signer, self._inbox.delays)
         self._grids = deque[OccupancyGrid](maxlen=1)  # to be sent
@@ -309,7 +309,8 @@ class FusionNode:
             pulse.beat()
             if self._node.stopping.is_set():
                 for sample, message in aside:
-                    self._store(sample, message)
+                    if pipeline.is_to_be_stored(topics.node_of(sample.key), message):
+                        self._store(sample, message)
                 return False
             if not count:
                 _log.info("reading %s; nothing is estimated until that is done", self._path)
@@ -328,6 +329,9 @@ class FusionNode:
 
     def _take_again(self, replay: Replay, key: str, stored: Stored) -> int:
         """Take what the checkpoint has; how many messages."""
+        if isinstance(stored, Diagnostics):
+            replay.take_moves(stored)
+            return 1
         replay.take(topics.node_of(key), stored)
         if isinstance(stored, CameraInfo):
             self._announced[key] = cdr.encode(stored)

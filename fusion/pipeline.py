@@ -11,6 +11,7 @@ from msgspec.structs import replace
 
 from trigpoint.base.clock import to_ns
 from trigpoint.contract.messages import CameraInfo, Diagnostics, Message, Odometry, Sightings
+from trigpoint.contract.nudge import nudges_in
 
 from .camera_announcements import CameraAnnouncements
 from .estimating import estimating
@@ -187,16 +188,15 @@ class Pipeline:
             )
         return True
 
-    @property
-    def doubted(self) -> dict[str, str]:
-        """Camera or robot that says that it cannot be relied on -> what is to be said of it."""
-        return self.nudges.open | self.clocks.open
-
     def _push_diagnostics(self, message: Diagnostics) -> bool:
         """Take that cameras were moved and clocks are off; whether it may add to the map (what is
         left out for a clock is not stored)."""
         for words in self.clocks.hear(message):
             self._left_out.happened(Event("clock_doubted", words))
+        return self.push_moves(message)
+
+    def push_moves(self, message: Diagnostics) -> bool:
+        """Take that cameras were moved, and no more; whether it may add to the map."""
         moves = self.nudges.new_in(message)
         for move in moves:
             self._estimator.camera_moved(move)
@@ -224,17 +224,33 @@ class Pipeline:
         self._data.lenses[camera] = message.camera
         early, self._early = self._early, []
         for node, sightings in early:
-            self._push_sightings(node, sightings)
+            self._use_sightings(node, sightings)
         return True
 
     def _push_sightings(self, camera: str, message: Sightings) -> bool:
         if self._fixed is not None and camera not in self._fixed.states:
             self._left_out.add("not_in_the_map")
             return False
-        if why := self.clocks.why(camera, self._intake.robots_in(message)):
+        if why := self._doubt(camera, message):
             self.arrivals.unused[camera] = why
             self._left_out.add("clock_in_doubt")
             return False
+        if message.faces:
+            self.arrivals.unused.pop(camera, None)
+        return self._use_sightings(camera, message)
+
+    def _doubt(self, camera: str, message: Sightings) -> str:
+        return self.clocks.why(camera, self._intake.robots_in(message))
+
+    def is_to_be_stored(self, node: str, message: Message) -> bool:
+        """Whether a message that comes before the map is whole is to be stored, to be pushed
+        later: not what a clock is in doubt for, since nobody will know of that then."""
+        if isinstance(message, Diagnostics):
+            self.clocks.hear(message)
+            return any(nudges_in(message))
+        return not (isinstance(message, Sightings) and self._doubt(node, message))
+
+    def _use_sightings(self, camera: str, message: Sightings) -> bool:
         config = self.site.cameras[camera]
         if camera not in self._data.lenses and config.estimates_intrinsics:
             self._data.lenses[camera] = config.nominal()

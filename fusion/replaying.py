@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 
-from trigpoint.contract.messages import Message, Odometry
+from trigpoint.contract.messages import Diagnostics, Message, Odometry
 
 from .model.readings import Readings
 from .pipeline import Pipeline
@@ -29,6 +29,12 @@ class Replay:
             return
         self.flush()
         self._pipeline.push(node, message)
+        self._has_more = True
+
+    def take_moves(self, message: Diagnostics) -> None:
+        """Take only that cameras were moved: what is said of clocks is of its moment."""
+        self.flush()
+        self._pipeline.push_moves(message)
         self._has_more = True
 
     def flush(self) -> None:

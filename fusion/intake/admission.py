@@ -10,7 +10,7 @@ from collections.abc import Mapping
 
 from msgspec import Struct, field
 
-from trigpoint.base.clock import STEP_NS, to_ns, to_seconds
+from trigpoint.base.clock import to_ns, to_seconds
 from trigpoint.bus.bus import Sample
 from trigpoint.contract import topics
 from trigpoint.contract.topics import Topic
@@ -19,8 +19,8 @@ from trigpoint.site.config import Site
 from .left_out import Problem
 
 AHEAD_NS = to_ns(5.0)
-"""The furthest a stamp of odometry may be ahead of its arrival: from further ahead, it would make
-all that follows come too late. A clock that is put right costs no more than this."""
+"""The furthest a stamp may be ahead of its arrival: odometry from further ahead would make all that
+follows come too late. A clock that is put right costs no more than this."""
 # A camera sends `rate` pictures a second on average; what comes at twice that is no camera. No
 # robot needs more odometry than this, and dropping some loses nothing, since each message is
 # absolute.
@@ -33,7 +33,6 @@ _REMEMBERED_NS = to_ns(5.0)
 """For how long a sender, or a conflict of two under one name, is remembered."""
 _MOST_SENDERS = 8
 _MOST_SHOWN = 100  # letters of a key
-_LONG_S = 10.0  # of what is longer, people want no fractions
 
 
 class Budget:
@@ -70,16 +69,6 @@ class _Sender(Struct):
     turns: int = 0
 
 
-class _Lead(Struct, frozen=True):
-    """How far a stamp was ahead of its arrival, ns, and when that came, monotonic."""
-
-    at_ns: int
-    ahead_ns: int
-
-    def is_recent(self, at_ns: int) -> bool:
-        return at_ns - self.at_ns < _REMEMBERED_NS
-
-
 class _Speaker(Struct):
     """The senders of a key: `current`, the last one heard, and all recent ones."""
 
@@ -98,14 +87,7 @@ class Admission:
     def __init__(self, site: Site) -> None:
         self.counts = Counter(unknown_sender=0)
         self._unknown = ""
-        self._ahead: dict[str, _Lead] = {}
-        self._leads = {topics.ODOMETRY.key(site.name, name): _Lead(0, 0) for name in site.robots}
-        # Clocks of one machine, each carried on by its program, may be apart by a step.
-        self._borne_ns = {
-            topics.SIGHTINGS.key(site.name, name): STEP_NS
-            + to_ns(site.bearable_clock_offset_s(name))
-            for name in site.cameras
-        }
+        self._ahead: dict[str, tuple[int, str]] = {}
         self._shed: dict[str, int] = {}
         self._speakers: dict[str, _Speaker] = {}
         self._budgets: dict[str, Budget] = {}
@@ -155,22 +137,15 @@ class Admission:
         return True
 
     def _is_of_now(self, sample: Sample, stamp_ns: int, at_ns: int, set_by_ns: int) -> bool:
-        """Whether it is stamped no further ahead of its arrival than a clock may be that is borne:
-        what is on its way takes longer than nothing. Odometry says of this machine's clock that it
-        is behind; pictures are beside it."""
-        key, ahead_ns = sample.key, stamp_ns - (sample.received_ns - set_by_ns)
-        if key in self._leads:
-            self._leads[key] = _Lead(at_ns, ahead_ns)
-        limit_ns, known = AHEAD_NS, self._ahead.get(key)
-        if key in self._borne_ns:
-            leads = [each.ahead_ns for each in self._leads.values() if each.is_recent(at_ns)]
-            limit_ns = min(limit_ns, self._borne_ns[key] + max([0, *leads]))
-            if known and known.is_recent(at_ns) and known.ahead_ns > ahead_ns:
-                at_ns, ahead_ns = known.at_ns, known.ahead_ns  # a slow way hides it now and then
-        if ahead_ns <= limit_ns:
+        ahead_ns = stamp_ns - (sample.received_ns - set_by_ns)
+        if ahead_ns <= AHEAD_NS:
             return True
-        self._ahead[key] = _Lead(at_ns, ahead_ns)
         self.counts["far_ahead"] += 1
+        self._ahead[sample.key] = (
+            at_ns,
+            f"what comes on {sample.key} is stamped {to_seconds(ahead_ns):.0f} s ahead of this "
+            "machine's clock and is not used; set the clock of its sender, or of this machine",
+        )
         return False
 
     def _is_alone(self, speaker: _Speaker, sender: str, at_ns: int) -> bool:
@@ -211,14 +186,9 @@ class Admission:
                 found[f"two on {key}"] = (
                     f"two send on {key}: the sessions {names}; neither is used, stop one of them"
                 )
-        for key, ahead in self._ahead.items():
-            if ahead.is_recent(at_ns):
-                ahead_s = to_seconds(ahead.ahead_ns)
-                by = f"{ahead_s:.0f}" if ahead_s > _LONG_S else f"{ahead_s:.3f}"
-                found[f"ahead {key}"] = (
-                    f"what comes on {key} is stamped {by} s ahead of this machine's clock and is "
-                    "not used; set the clock of its sender, or of this machine"
-                )
+        for key, (ahead_at_ns, text) in self._ahead.items():
+            if at_ns - ahead_at_ns < _REMEMBERED_NS:
+                found[f"ahead {key}"] = text
         for key, shed_at_ns in self._shed.items():
             if at_ns - shed_at_ns < _REMEMBERED_NS:
                 found[f"shed {key}"] = (

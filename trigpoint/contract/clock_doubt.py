@@ -14,6 +14,10 @@ seconds."""
 CLOCK_OFF_BY = "clock_off_by"
 """The value of a camera or robot whose clock is certainly off from fusion's by more than is borne:
 how many seconds it is ahead."""
+REFUSED_FROM = 3.0
+"""What a camera sees of a robot is refused from this many times the offset that is borne, until the
+offset is borne again. Below it nodes warn: clocks that are set by SNTP are 10 to 20 ms off, which
+is 3 to 6 mm at 0.3 m/s, and to see nothing would cost more."""
 
 
 class DoubtFilter:

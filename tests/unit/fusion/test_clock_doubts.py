@@ -3,6 +3,7 @@ no correction and moves nothing in the map, and is used again when the clock is 
 
 from collections.abc import Sequence
 
+import numpy as np
 import pytest
 from msgspec.structs import replace
 from support.fusion.drives import EPOCH_NS, Session, lab_plan, make_session
@@ -10,11 +11,20 @@ from support.fusion.drives import EPOCH_NS, Session, lab_plan, make_session
 from trigpoint.base.clock import to_ns
 from trigpoint.contract import topics
 from trigpoint.contract.clock_doubt import CLOCK_OFF_BY, CLOCK_SET_BY
-from trigpoint.contract.messages import Diagnostics, DiagnosticStatus, Message, Odometry, Sightings
+from trigpoint.contract.messages import (
+    CameraInfo,
+    Diagnostics,
+    DiagnosticStatus,
+    Message,
+    Sightings,
+)
+from trigpoint.contract.nudge import NUDGED, Nudge
 from trigpoint.fusion.diagnostics import Diagnostics as InputDiagnostics
 from trigpoint.fusion.intake.admission import Admission
 from trigpoint.fusion.intake.clock_doubts import ClockDoubts
-from trigpoint.fusion.pipeline import Pipeline
+from trigpoint.fusion.pipeline import Inputs, Pipeline
+from trigpoint.fusion.replaying import Replay
+from trigpoint.geometry import Pose
 
 OFF_S = 0.3
 Messages = Sequence[tuple[str, Message]]
@@ -37,13 +47,12 @@ def saying(stamp_ns: int, **off_by: float) -> Diagnostics:
 
 def shifted(messages: Messages, camera: str, seconds: float, until_s: float) -> Messages:
     """As they come where a camera's clock is ahead by so much until a moment."""
-    found = []
+    found, until_ns = [], EPOCH_NS + to_ns(until_s)
     for name, message in messages:
-        assert isinstance(message, Odometry | Sightings) or name
-        is_early = getattr(message, "stamp_ns", 0) < EPOCH_NS + to_ns(until_s)
-        if name == camera and isinstance(message, Sightings) and is_early:
+        if isinstance(message, Sightings) and name == camera and message.stamp_ns < until_ns:
             message = replace(message, stamp_ns=message.stamp_ns + to_ns(seconds))
         found.append((name, message))
+    assert any(new is not old for (_, new), (_, old) in zip(found, messages, strict=True))
     return found
 
 
@@ -71,6 +80,74 @@ def test_camera_beyond_what_is_borne_is_doubted_and_said_until_it_is_right(
     assert not doubts.hear(saying(3, c2=0.0))
     assert not doubts.open
     assert not doubts.why("c2", ["r1"])
+    assert not doubts.hear(saying(4, c2=OFF_S))  # one event a node, however often it comes and goes
+    assert doubts.why("c2", ["r1"])
+
+
+def test_offset_that_costs_little_is_borne_and_what_is_refused_is_used_once_it_is_borne(
+    session: Session,
+) -> None:
+    doubts, limit_s = site_doubts(session), session.inputs.site.bearable_clock_offset_s("c2")
+    refused = []
+    for times in (2.9, 3.1, 2.9, 1.1, -1.1, 0.0, 2.9, -3.1):
+        doubts.hear(saying(1, c2=times * limit_s))
+        refused.append(bool(doubts.why("c2", ["r1"])))
+        assert bool(doubts.open) == refused[-1]
+    assert refused == [False, True, True, True, True, False, False, True]
+
+
+def test_node_that_says_nothing_for_five_seconds_is_doubted_no_longer(session: Session) -> None:
+    """By the clock of any other that goes on, which may be an hour off, as its own may."""
+    for off_s in (OFF_S, 3600.0, -3600.0):
+        doubts = site_doubts(session)
+        doubts.hear(saying(EPOCH_NS + to_ns(off_s), c2=off_s))
+        for at_s in (0.5, 3.0, 5.5):
+            doubts.hear(saying(EPOCH_NS + to_ns(at_s), c1=0.0))
+            doubts.hear(saying(EPOCH_NS + to_ns(at_s - off_s), r1=0.0))
+        assert doubts.why("c2", ["r1"])
+        doubts.hear(saying(EPOCH_NS + to_ns(5.6), c1=0.0))
+        assert not doubts.why("c2", ["r1"])
+        assert not doubts.open
+
+
+def test_node_that_goes_on_saying_that_its_clock_is_off_is_doubted(session: Session) -> None:
+    doubts = site_doubts(session)
+    for second in range(20):
+        doubts.hear(saying(EPOCH_NS + to_ns(second), c2=OFF_S))
+        doubts.hear(saying(EPOCH_NS + to_ns(second + 0.5), c1=0.0))
+        assert doubts.why("c2", ["r1"])
+
+
+def test_one_of_two_robots_with_one_target_whose_clock_is_off_takes_nothing_from_the_other() -> (
+    None
+):
+    """The picture may show the other one; only where the robot is known, no correction comes."""
+    session = two_alike()
+    pipeline = Pipeline(session.inputs)
+    seen = first_seen(session, "c2")
+    pipeline.push("", saying(1, r1=OFF_S, r2=0.0))
+    assert pipeline.clocks.why("c2", ["r1"])
+    assert pipeline.push("c2", seen)
+    pipeline.push("", saying(2, r1=OFF_S, r2=-OFF_S))
+    assert not pipeline.push("c2", seen)
+    why = pipeline.arrivals.unused["c2"]
+    assert "robot r1: " in why
+    assert "robot r2: " in why
+    pipeline.push("", saying(3, r1=0.0, r2=-OFF_S))
+    assert pipeline.push("c2", replace(seen, stamp_ns=seen.stamp_ns + 1))
+    assert not pipeline.arrivals.unused
+
+
+def two_alike() -> Session:
+    plan = lab_plan(seconds=3.0)
+    second = replace(plan.robots["r1"], map_from_odom=Pose.planar(0.0, 2.4, np.pi))
+    return make_session(replace(plan, robots=plan.robots | {"r2": second}))
+
+
+def first_seen(session: Session, camera: str) -> Sightings:
+    return next(
+        m for n, m in session.messages if n == camera and isinstance(m, Sightings) and m.faces
+    )
 
 
 def test_clock_of_fusion_that_is_off_from_all_others_takes_nothing_away(session: Session) -> None:
@@ -146,14 +223,70 @@ def test_what_is_doubted_is_in_the_diagnostics_and_nothing_of_it_is_stored(
     pipeline, site = Pipeline(session.inputs), session.inputs.site
     diagnostics = InputDiagnostics(site, Admission(site))
     assert not pipeline.push("", saying(1, c2=OFF_S))
-    seen = next(
-        m for n, m in session.messages if n == "c2" and isinstance(m, Sightings) and m.faces
-    )
+    seen = first_seen(session, "c2")
     assert not pipeline.push("c2", seen)
     assert "its clock is 0.300 s ahead" in diagnostics.now(pipeline, 0)["doubted camera c2"]
     pipeline.push("", saying(2, c2=0.0))
     assert pipeline.push("c2", seen)
     assert not diagnostics.now(pipeline, 1)
+
+
+def test_picture_that_waits_for_a_lens_is_judged_once_when_it_comes(session: Session) -> None:
+    lenses = {name: lens for name, lens in session.inputs.lenses.items() if name != "c2"}
+    pipeline = Pipeline(Inputs(session.inputs.site, session.inputs.targets, lenses))
+    assert pipeline.push("c2", first_seen(session, "c2"))  # and so it is stored
+    pipeline.push("", saying(1, c2=OFF_S))
+    lens = session.plan.cameras["c2"].lens
+    assert pipeline.push("c2", CameraInfo(EPOCH_NS, "c2/optical", lens))
+    assert "clock_in_doubt" not in pipeline.left_out
+    assert pipeline.waiting == 1
+
+
+def test_camera_that_was_nudged_and_whose_clock_is_off_has_both_said_under_its_name(
+    session: Session,
+) -> None:
+    pipeline, site = Pipeline(session.inputs), session.inputs.site
+    pipeline.push(*session.messages[0])
+    assert pipeline.push("", nudged_and_off())
+    said = InputDiagnostics(site, Admission(site)).now(pipeline, 0)
+    assert list(said) == ["doubted camera c2"]
+    assert "was turned or shifted" in said["doubted camera c2"]
+    assert "its clock is 0.300 s ahead" in said["doubted camera c2"]
+
+
+def nudged_and_off() -> Diagnostics:
+    nudge = Nudge("c2", EPOCH_NS + to_ns(1.0), EPOCH_NS + to_ns(2.0))
+    message = saying(nudge.since_ns, c2=OFF_S)
+    [status] = message.statuses
+    return replace(
+        message, statuses=(replace(status, values=status.values | {NUDGED: nudge.value}),)
+    )
+
+
+def test_nothing_that_was_said_of_clocks_is_left_after_a_restart_but_moves_are(
+    session: Session,
+) -> None:
+    """The message with the move is stored whole, the one that the clock is right again is not."""
+    pipeline = Pipeline(session.inputs, is_live=False)
+    replay = Replay(pipeline)
+    replay.take(*session.messages[0])
+    replay.take_moves(nudged_and_off())
+    replay.flush()
+    pipeline.resumed()
+    assert not pipeline.clocks.open
+    assert set(pipeline.nudges.open) == {"c2"}
+    assert pipeline.push("c2", first_seen(session, "c2"))
+
+
+def test_what_comes_while_a_checkpoint_is_read_is_stored_as_what_comes_later(
+    session: Session,
+) -> None:
+    pipeline, seen = Pipeline(session.inputs, is_live=False), first_seen(session, "c2")
+    assert pipeline.is_to_be_stored("c2", seen)
+    assert pipeline.is_to_be_stored("", nudged_and_off())
+    assert not pipeline.is_to_be_stored("c2", seen)
+    assert not pipeline.is_to_be_stored("", saying(EPOCH_NS, c2=0.0))
+    assert pipeline.is_to_be_stored("c2", seen)
 
 
 def test_camera_that_is_unseen_for_its_clock_says_so(session: Session) -> None:

@@ -18,6 +18,7 @@ from trigpoint.base.clock import ManualClock
 from trigpoint.base.errors import OperationError
 from trigpoint.bus.bus import Reply, Subscription
 from trigpoint.contract import cdr, topics
+from trigpoint.contract.clock_doubt import CLOCK_OFF_BY
 from trigpoint.contract.correction import decode_mark
 from trigpoint.contract.messages import (
     CameraInfo,
@@ -271,19 +272,23 @@ def test_what_does_not_fit_is_in_the_diagnostics(charuco: Session, tmp_path: Pat
 def test_camera_that_said_that_it_was_nudged_is_in_the_diagnostics_also_after_a_kill(
     charuco: Session, tmp_path: Path
 ) -> None:
+    """What it says of its clock in the same message is of its moment."""
     nudge = Nudge("c2", EPOCH_NS + 10**9, EPOCH_NS + 2 * 10**9)
-    status = DiagnosticStatus(0, "edge/c2", "", "host", {NUDGED: nudge.value})
+    values = {NUDGED: nudge.value, CLOCK_OFF_BY: "+0.300"}
+    status = DiagnosticStatus(0, "edge/c2", "", "host", values)
     told = Diagnostics(nudge.since_ns, (status,))
     with running(charuco.inputs, tmp_path) as run:
         run.feed(charuco.messages[:60])
         key = topics.DIAGNOSTICS.key("lab")
         run.bus.publisher(topics.DIAGNOSTICS, key).put(cdr.encode(told))
-        assert eventually(lambda: "input: doubted c2" in run.node.health.held)
+        assert eventually(lambda: "input: doubted camera c2" in run.node.health.held)
         assert run.node.health.total("left_out.camera_nudged") == 1
+        assert "its clock is 0.300 s ahead" in run.node.health.held["input: doubted camera c2"]
         run.keep(tmp_path / "checkpoint.bin")
     with running(charuco.inputs, tmp_path) as run:
         run.ask("fusion/map")
-        assert eventually(lambda: "input: doubted c2" in run.node.health.held)
+        assert eventually(lambda: "input: doubted camera c2" in run.node.health.held)
+        assert "clock" not in run.node.health.held["input: doubted camera c2"]
 
 
 def test_announced_lenses_are_used(charuco: Session, tmp_path: Path) -> None:

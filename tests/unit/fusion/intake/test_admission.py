@@ -48,29 +48,6 @@ def test_what_is_stamped_far_ahead_is_refused_and_said_and_the_next_one_is_taken
     assert not admission.troubles(to_ns(5.0))
 
 
-def test_camera_that_is_ahead_of_this_clock_by_more_than_is_borne_is_not_used_for_a_while() -> None:
-    """A picture that took long does not show it; odometry from as far ahead says that this
-    machine's clock is the one that is behind."""
-    admission = Admission(make_site())
-
-    def takes(ahead_s: float, at_s: float, key: str = SIGHTINGS) -> bool:
-        return admission.takes(sample(key=key), NOW_NS + to_ns(ahead_s), to_ns(at_s))
-
-    assert takes(0.012, 0.0)
-    assert not takes(0.3, 1.0)
-    assert not takes(-0.1, 5.9)
-    [text] = admission.troubles(to_ns(5.9)).values()
-    assert (
-        f"on {SIGHTINGS} is stamped 0.300 s ahead of this machine's clock and is not used" in text
-    )
-    assert takes(-0.1, 6.1)
-    assert not admission.troubles(to_ns(6.1))
-    assert not takes(0.3, 7.0)
-    assert takes(0.3, 7.5, ODOM)
-    assert takes(0.3, 7.6)
-    assert admission.counts["far_ahead"] == 3
-
-
 def test_clock_of_this_machine_that_was_set_back_refuses_nobody() -> None:
     admission = Admission(make_site())
     set_back = sample(received_ns=NOW_NS - to_ns(60.0))
