@@ -45,7 +45,7 @@ class MarkedSearch(FaceFinder):
         self._finder = QuadFinder(parts_touching=parts_touching)
         own = tuple(dict.fromkeys(board.look for board in boards))
         self._wrong = MisdescribedBoards(own, [look.face for look in looks])
-        self._denied = set[Appearance]()
+        self._denied: list[Located] = []  # of the last picture
         self._quads = 0  # in the last picture
         self._compared: dict[Appearance, set[int]] = {}
 
@@ -62,12 +62,16 @@ class MarkedSearch(FaceFinder):
             if boards and not is_over():
                 shown = cv2.bitwise_not(grey) if inverted else grey
                 found += self._search(shown, boards, is_over, within)
-        # What one picture contradicts in one place, it does not prove in another.
-        found = [board for board in found if board.look not in self._denied]
+        # What is contradicted is not proven by the rest of it; another robot's board is no part.
+        found = [
+            board for board in found if not any(_overlap(board, other) for other in self._denied)
+        ]
         for board in found:
             self._wrong.confirm(board.look)
-        if self._denied or not (found or within or is_over()):
-            self._wrong.look(grey, self._denied, is_over, quads=self._quads)
+        # Where a look is seen as the file has it, what is like it elsewhere does not deny the file.
+        denied = {board.look for board in self._denied} - {board.look for board in found}
+        if denied or not (found or within or is_over()):
+            self._wrong.look(grey, denied, is_over, quads=self._quads)
         self.misdescribed = tuple(self._wrong.lines.values())
         return [board for board in found if board.look not in self._wrong.refused]
 
@@ -89,6 +93,7 @@ class MarkedSearch(FaceFinder):
         found = board.follow(shown, last.found, fit, reader, reach_px=reach_px, is_over=is_over)
         if found is None or (not is_over() and self._is_denied_by_more(shown, board, found)):
             return None
+        self._wrong.confirm(board.look)
         return Located(board.look, found, last.variant)
 
     def _is_denied_by_more(self, grey: np.ndarray, board: MarkedBoard, found: Measured) -> bool:
@@ -155,7 +160,7 @@ class MarkedSearch(FaceFinder):
             if measured is None:
                 refused += 1
             elif self._is_contradicted(grey, board, measured, quads):
-                self._denied.add(board.look)
+                self._denied.append(Located(board.look, measured, board.variant))
                 taken.update(group.quads.tolist())
             else:
                 board, measured = refined(grey, board, measured, is_over)
@@ -163,3 +168,14 @@ class MarkedSearch(FaceFinder):
                 taken.update(group.quads.tolist())
                 seen.update([id(board.look)] if board.look.is_unique else [])
         return found
+
+
+def _overlap(board: Located, other: Located) -> bool:
+    """Whether two boards of one look lie on each other in the picture."""
+    if board.look is not other.look:
+        return False
+    one, two = (
+        each.found.fit.project(each.look.face.outline[:, :2]).astype(np.float32)
+        for each in (board, other)
+    )
+    return cv2.intersectConvexConvex(one, two)[0] > 0

@@ -48,8 +48,8 @@ _CAME_IN, _LATELY, _MOST_EAGER = 6, 50, 30
 # So many readings of quadrilaterals a picture gets, then the next one goes on: all boards together
 # ask for 2000 to 4000 in most real pictures, for 15,000 in the busiest.
 _MOST_READ = 10_000
-# So often a board is contradicted that is none of the others, and in so large a part of the
-# pictures in which it is seen, before that is said; all others must have been looked for. A board
+# So often a board is contradicted that is none of the others, and in so large a part of its
+# sightings, followed ones too, while that is said; all others must have been looked for. A board
 # that is as the file has it is contradicted by accident, now and then for as long as it is seen.
 _OFTEN, _OFTEN_SHARE = 3, 0.1
 # Quadrilaterals whose middles are as near are one, of the side.
@@ -59,23 +59,27 @@ _MOST_IDS = 250
 
 
 class MisdescribedBoards:
-    """What pictures show of other boards in place of `looks`. `refused`: looks that the pictures
-    disprove, which no later picture can mend."""
+    """What pictures show of other boards in place of `looks`."""
 
     def __init__(self, looks: Sequence[Appearance], faces: Sequence[Face]) -> None:
         """`faces`: all of the site, of which none is another board."""
         self._waiting, self._faces = list(readings(looks)), faces
         self._firsts = sorted({face.first_marker for face in faces})
         self._ids = max([_MOST_IDS, *(face.first_marker + face.marker_count for face in faces)])
-        self._finders = QuadFinder(), QuadFinder(parts_touching=True)
+        self._finders = QuadFinder(parts_touching=True), QuadFinder()
         self._pictures, self._untried = 0, len(self._waiting)
         self._quads: deque[int] = deque(maxlen=_LATELY)
         self._eager = _MOST_EAGER
         self._named: dict[Appearance, Other | OtherSize] = {}
         self._confirmed: Counter[Appearance] = Counter()
         self._denials: Counter[Appearance] = Counter()
-        self._vague: dict[Appearance, str] = {}
-        self.refused: set[Appearance] = set()
+        self._disproven: set[Appearance] = set()
+
+    @property
+    def refused(self) -> set[Appearance]:
+        """Looks not to use: those that were contradicted and are another board, which no later
+        picture mends, and those that are contradicted too often, as long as they are."""
+        return self._disproven | {look for look in self._denials if self._is_often_denied(look)}
 
     @property
     def lines(self) -> dict[Appearance, str]:
@@ -84,7 +88,9 @@ class MisdescribedBoards:
         said: dict[object, Other | OtherSize] = {}
         for shown in sorted(self._named.values(), key=lambda shown: shown.differences):
             said.setdefault(shown.face.appearance, shown)
-        return self._vague | {shown.look: shown.remedy for shown in said.values()}
+        often = [look for look in self._denials if self._is_often_denied(look)]
+        vague = {look: _vague(look) for look in often if look not in self._named}
+        return vague | {shown.look: shown.remedy for shown in said.values()}
 
     def look(
         self,
@@ -114,8 +120,8 @@ class MisdescribedBoards:
         left = [one for one in tried if one.look not in self._named]
         self._waiting = self._waiting[len(tried) :] + left
         self._untried -= len(tried)
-        for look in denied:
-            self._deny(look)
+        self._denials.update(denied)
+        self._disproven |= {look for look in denied if isinstance(self._named.get(look), Other)}
 
     def _shown(self, reading: Reading, scene: "_Scene") -> Other | OtherSize | None:
         """The board that a picture proves, if any: the one that has most markers in their places,
@@ -130,7 +136,8 @@ class MisdescribedBoards:
         return best
 
     def confirm(self, look: Appearance) -> None:
-        """A board that was found as the file has it is of no other size: that one was another's."""
+        """A board that was found or followed as the file has it is of no other size: that one was
+        another's."""
         self._confirmed[look] += 1
         if isinstance(self._named.get(look), OtherSize):
             del self._named[look]
@@ -146,18 +153,18 @@ class MisdescribedBoards:
             return min(count, max(_A_PICTURE, -(-count // _FIRST)))
         return 0 if self._pictures % _EVERY else min(count, _A_PICTURE)
 
-    def _deny(self, look: Appearance) -> None:
-        self._denials[look] += 1
+    def _is_often_denied(self, look: Appearance) -> bool:
+        """Whether the pictures contradict it too often, after every other board was looked for."""
         seen = self._denials[look] + self._confirmed[look]
-        is_often = self._denials[look] >= max(_OFTEN, _OFTEN_SHARE * seen)
-        if isinstance(self._named.get(look), Other):
-            self.refused.add(look)
-        elif look not in self._named and is_often and self._untried <= 0:
-            self.refused.add(look)
-            self._vague[look] = (
-                f"{look.words}: its markers are seen in other places than the target file has, so "
-                "it is not used; compare columns, rows, first_marker and numbering with the print"
-            )
+        return self._untried <= 0 and self._denials[look] >= max(_OFTEN, _OFTEN_SHARE * seen)
+
+
+def _vague(look: Appearance) -> str:
+    """What to say of a board that is contradicted and none of the others."""
+    return (
+        f"{look.words}: its markers are seen in other places than the target file has, so it is "
+        "not used; compare columns, rows, first_marker and numbering with the print"
+    )
 
 
 class _Shown:
@@ -248,8 +255,10 @@ class _Scene:
 
 
 def _quads(grey: np.ndarray, finders: Sequence[QuadFinder]) -> Array:
-    """The dark quadrilaterals (n, 4, 2) that any of the finders sees, each once: a board may have
-    squares that touch its tags, and who looks for such loses small markers beside other squares."""
+    """The dark quadrilaterals (n, 4, 2) that any of the finders sees, each once, as the first has
+    it. A board may have squares that touch its tags: who looks for such goes first, since the other
+    one sees whole clumps of them; it loses small markers beside other squares, which the other one
+    adds."""
     quads = finders[0].find(grey)
     for finder in finders[1:]:
         more = finder.find(grey)

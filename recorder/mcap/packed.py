@@ -15,7 +15,7 @@ from trigpoint.base.errors import RecordingError
 from trigpoint.base.terminal import waiting
 
 _PACKED = (".zstd", ".zst")
-_PIECE = 1 << 20  # bytes that are unpacked at once
+_PIECE = 1 << 11  # bytes that are unpacked at once: to 64 MiB at most, as four may be 128 KiB
 
 _LOG = logging.getLogger(__name__)
 

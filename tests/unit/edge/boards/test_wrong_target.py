@@ -218,6 +218,37 @@ def test_board_that_drives_in_is_dropped_when_the_part_that_disagrees_comes_into
     assert "write legacy = true" in line
 
 
+def test_followed_board_that_is_contradicted_now_and_then_is_found_again() -> None:
+    face = charuco(7, 5)
+    tracker = TargetTracker([target_of(face)])
+    own, other = (picture_of([placed(seen, distance=1.0)]) for seen in (face, charuco(9, 6)))
+    faces = [len(tracker.detect(own, index * 50_000_000)) for index in range(40)]
+    faces += [len(tracker.detect(other, index * 50_000_000)) for index in range(40, 43)]
+    faces += [len(tracker.detect(own, 43 * 50_000_000))]
+    assert faces == [1] * 40 + [0] * 3 + [1]
+    assert tracker.misdescribed == ()
+
+
+def test_board_that_another_robot_carries_too_is_found_beside_one_that_is_contradicted() -> None:
+    face = replace(charuco(5, 2), columns=4)
+    detector = detector_for([target_of(face), target_of(face, name="crate")])
+    sound = placed(face, distance=0.8, x=-0.2)
+    picture = picture_of([sound, placed(charuco(5, 2), distance=0.8, x=0.2, tilt_deg=10)])
+    for _ in range(5):
+        [sighting] = detector.detect(picture)
+        assert sighting.pixels[:, 0].max() < 320
+    assert detector.misdescribed == ()
+
+
+def test_rest_of_a_board_that_is_contradicted_is_not_found() -> None:
+    """Something hides a part of it."""
+    true = charuco(9, 6)
+    view = placed(true, distance=1.5804, x=-0.11526, y=0.03271, turn_deg=233.549, tilt_deg=-23.922)
+    picture = picture_of([view], noise=3.0, seed=90)
+    picture[289:438, 265:369] = 90
+    assert detector_for([target_of(replace(true, first_marker=1))]).detect(picture) == ()
+
+
 @settings(max_examples=12, deadline=None)
 @given(
     st.sampled_from([charuco(5, 4), charuco(8, 6, legacy=True), aprilgrid(4, 3)]),

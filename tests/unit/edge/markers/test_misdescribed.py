@@ -104,3 +104,17 @@ def test_a_board_that_is_contradicted_now_and_then_is_no_other_one(
     for _ in range(3):
         boards.look(picture, {look})
     assert (look in boards.lines, boards.refused == {look}) == (is_said, is_said)
+
+
+def test_a_board_contradicted_by_accident_is_used_again_once_seen_for_long() -> None:
+    look = Appearance(BOARD, "box", 0)
+    boards, picture = MisdescribedBoards([look], [BOARD]), np.full((480, 640), 230, np.uint8)
+    said = list[bool]()
+    for found, denied in ((25, 3), (5, 0), (0, 1)):
+        for _ in range(found):
+            boards.confirm(look)
+        for _ in range(denied):
+            boards.look(picture, {look})
+        assert (look in boards.lines) is (boards.refused == {look})
+        said.append(look in boards.lines)
+    assert said == [True, False, True]
