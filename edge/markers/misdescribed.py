@@ -83,14 +83,15 @@ class MisdescribedBoards:
 
     @property
     def lines(self) -> dict[Appearance, str]:
-        """What to write, by look; a board that several looks are not is said of the one that it
-        differs from in fewest keys."""
-        said: dict[object, Other | OtherSize] = {}
+        """What to write, by look; of several that the same markers tell of, the one that differs
+        from its look in fewest keys: they are on one board."""
+        said = list[Other | OtherSize]()
         for shown in sorted(self._named.values(), key=lambda shown: shown.differences):
-            said.setdefault(shown.face.appearance, shown)
+            if not any(shown.markers & each.markers for each in said):
+                said.append(shown)
         often = [look for look in self._denials if self._is_often_denied(look)]
         vague = {look: _vague(look) for look in often if look not in self._named}
-        return vague | {shown.look: shown.remedy for shown in said.values()}
+        return vague | {shown.look: shown.remedy for shown in said}
 
     def look(
         self,

@@ -1,6 +1,6 @@
 """Boards that people may mean when they describe another one, and what they should write."""
 
-from collections.abc import Container, Iterator, Sequence
+from collections.abc import Container, Iterable, Iterator, Sequence
 from itertools import product, zip_longest
 
 import cv2
@@ -27,6 +27,11 @@ class Other(Struct, frozen=True):
     def differences(self) -> int:
         """In how many things the look differs."""
         return len(self.change) + self.is_mirrored
+
+    @property
+    def markers(self) -> set[tuple[str, int]]:
+        """The kind and the id of each of its markers."""
+        return markers_of(self.face, range(self.face.marker_count))
 
     @property
     def remedy(self) -> str:
@@ -135,6 +140,12 @@ def kind_of(name: str) -> str:
     """«DICT_4X4» of DICT_4X4_50; names of other kinds whole, in capitals."""
     upper = name.upper()
     return upper.rpartition("_")[0] if upper[5:6].isdigit() else upper
+
+
+def markers_of(face: Face, numbers: Iterable[int]) -> set[tuple[str, int]]:
+    """The kind and the id of those of a face's markers."""
+    kind = kind_of(face.dictionary or "")
+    return {(kind, face.first_marker + number) for number in numbers}
 
 
 def toml(value: object) -> str:

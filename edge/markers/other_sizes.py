@@ -21,7 +21,7 @@ from trigpoint.geometry.rotation import Array
 from trigpoint.site.target import Face, Numbering, Pattern
 
 from .markers import Markers
-from .other_boards import UNMIRROR, Reading, kind_of, toml
+from .other_boards import UNMIRROR, Reading, kind_of, markers_of, toml
 
 # Boards have hardly more columns or rows.
 _MOST = 24
@@ -78,6 +78,11 @@ class OtherSize(Struct, frozen=True):
     def differences(self) -> int:
         """In how many things the look differs."""
         return len(self._words()) + self.reading.is_mirrored
+
+    @property
+    def markers(self) -> set[tuple[str, int]]:
+        """The kind and the id of each of its markers that agree."""
+        return markers_of(self.face, self.numbers.tolist())
 
     def _words(self) -> list[str]:
         """What differs from the look, as the target file has it."""
