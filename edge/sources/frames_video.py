@@ -71,7 +71,9 @@ class Video:
     def __init__(self, file: Path) -> None:
         """Raises InputError for a missing file or one that is no video."""
         if not file.is_file():
-            what = "is no file, so no video" if file.exists() else "there is no such video"
+            if file.is_dir():
+                raise InputError(f"{file}: this is a folder; write dir:// for pictures in one")
+            what = "this is no file, so no video" if file.exists() else "there is no such video"
             raise InputError(f"{file}: {what}; check the path")
         set_level(None)
         try:

@@ -130,7 +130,8 @@ def test_source_ends_when_told(tmp_path: Path, kind: str) -> None:
     [
         ("file://none.mp4", r"none\.mp4: there is no such video"),
         ("file://text.mp4", r"text\.mp4: this is no video"),
-        ("file://shots", "shots: there is no such video"),
+        ("file://shots", "shots: this is a folder; write dir://"),
+        ("file:///dev/null", "/dev/null: this is no file, so no video"),
         ("dir://none", "none: there is no such folder"),
         ("dir://empty", "empty: no pictures"),
         ("dir://shots?lop=1", "no option «lop»; did you mean «loop»"),
