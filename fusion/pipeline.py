@@ -21,6 +21,7 @@ from .fixed.network import FixedNetwork
 from .intake.arrivals import Arrivals
 from .intake.clock_doubts import ClockDoubts
 from .intake.left_out import Problem
+from .intake.lenses import Lenses
 from .intake.message_intake import Intake
 from .intake.nudges import Nudges
 from .live.follower import Follower
@@ -35,9 +36,6 @@ from .output import Output
 from .robot_announcements import RobotAnnouncements
 from .solver.filter import RobotEstimate
 from .solver.snapshot import GuidanceWorld
-
-# The most sightings kept of cameras whose intrinsics have not come yet.
-_MOST_EARLY = 4096
 
 
 class Pipeline:
@@ -68,7 +66,7 @@ class Pipeline:
         self._outputs: list[Output] = []
         self._cameras = CameraAnnouncements(inputs.targets[inputs.site.first_robot])
         self._robots = RobotAnnouncements(inputs.site.fusion.correction_rate)
-        self._early: list[tuple[str, Sightings]] = []
+        self._lenses = Lenses(data, self._intake, inputs.lenses)
         self._stale_ns: dict[str, int] = {}
         self.nudges = Nudges(data, is_fixed=fixed is not None)
         self.clocks = ClockDoubts(inputs.site)
@@ -136,7 +134,7 @@ class Pipeline:
     @property
     def left_out(self) -> dict[str, int]:
         """What was not used, or not in full, by reason; events too, each by its kind."""
-        early = Counter(without_intrinsics=len(self._early))
+        early = Counter(without_intrinsics=self._lenses.waiting)
         return dict(self._left_out.counts + early)
 
     @property
@@ -158,7 +156,7 @@ class Pipeline:
         if isinstance(message, Sightings) and node in self.site.cameras:
             return self._push_sightings(node, message)
         if isinstance(message, CameraInfo) and node in self.site.cameras:
-            return self._push_camera_info(node, message)
+            return self._lenses.announce(node, message)
         if isinstance(message, Diagnostics):
             return self._push_diagnostics(message)
         return self._unknown(node)
@@ -203,30 +201,6 @@ class Pipeline:
             self._left_out.happened(Event("camera_nudged", self.nudges.words(move.camera)))
         return bool(moves)
 
-    def _push_camera_info(self, camera: str, message: CameraInfo) -> bool:
-        if camera in self.inputs.lenses:
-            return False  # a file gives it
-        if camera in self._data.lenses:
-            if self._data.lenses[camera] != message.camera:
-                self._left_out.add(
-                    "changed_intrinsics",
-                    f"camera {camera} announces other intrinsics than this map began with, which "
-                    "are not taken over; start a new map with fusion/reset",
-                    of=camera,
-                )
-            return False
-        try:
-            message.camera.check()
-        except ValueError as reason:
-            text = f"camera {camera}: {reason}"
-            self._left_out.add("impossible_intrinsics", text, of=camera)
-            return False
-        self._data.lenses[camera] = message.camera
-        early, self._early = self._early, []
-        for node, sightings in early:
-            self._use_sightings(node, sightings)
-        return True
-
     def _push_sightings(self, camera: str, message: Sightings) -> bool:
         if self._fixed is not None and camera not in self._fixed.states:
             self._left_out.add("not_in_the_map")
@@ -237,7 +211,7 @@ class Pipeline:
             return False
         if message.faces:
             self.arrivals.unused.pop(camera, None)
-        return self._use_sightings(camera, message)
+        return self._lenses.hand_on(camera, message)
 
     def _doubt(self, camera: str, message: Sightings) -> str:
         return self.clocks.why(camera, self._intake.robots_in(message))
@@ -249,19 +223,6 @@ class Pipeline:
             self.clocks.hear(message)
             return any(nudges_in(message))
         return not (isinstance(message, Sightings) and self._doubt(node, message))
-
-    def _use_sightings(self, camera: str, message: Sightings) -> bool:
-        config = self.site.cameras[camera]
-        if camera not in self._data.lenses and config.estimates_intrinsics:
-            self._data.lenses[camera] = config.nominal()
-        lens = self._data.lenses.get(camera)
-        if lens is not None:
-            return self._intake.add(camera, message, lens)
-        if len(self._early) < _MOST_EARLY:
-            self._early.append((camera, message))
-            return True
-        self._left_out.add("without_intrinsics")
-        return False
 
     def resumed(self, *, is_new: bool = False, solution: Solved | None = None) -> bool:
         """Say that what was pushed so far came from a checkpoint: it is all used at once.

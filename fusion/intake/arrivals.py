@@ -24,8 +24,6 @@ _NEVER_SET_NS = to_ns(1e8)
 
 # Pictures of targets that come more rarely, on the whole, are not stamped in seconds.
 _LONGEST_PERIOD_S = 100.0
-
-
 # Time zones are quarters of hours apart, at most 14 hours from UTC.
 _ZONE_S, _MOST_ZONES, _BEGIN_S = 900.0, 56, 30.0
 
