@@ -1,21 +1,22 @@
 """Kalibr's target.yaml (aprilgrid, checkerboard) as a target of ours."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
-import msgspec
-from msgspec import Meta, Struct
+from msgspec import Meta, Struct, field
 from ruamel.yaml import YAML, YAMLError
 
 from trigpoint.base.errors import TargetError, read_text
 from trigpoint.site.config.number_types import Count, Positive
 from trigpoint.site.target import NOWHERE, Face, Numbering, Pattern, Target
+from trigpoint.site.toml_file import checked
 from trigpoint.tools.shapes.text import target_text
 
 _EQUAL_SHARE = 1e-6
 # Kalibr's only family, with its borders of two cells.
 _DICTIONARY = "DICT_APRILTAG_36h11"
 _BORDER_BITS = 2
+_KIND = "target_type"
 
 _HEADS = {
     Pattern.APRILGRID: (
@@ -30,11 +31,8 @@ _HEADS = {
 }
 
 
-class _Kalibrs(Struct, tag_field="target_type", rename="camel", forbid_unknown_fields=True):
-    """A document. An unknown key is refused: it may stand for a board that is another."""
-
-
-class _AprilGrid(_Kalibrs, tag="aprilgrid"):
+class _AprilGrid(Struct, rename="camel"):
+    kind: Literal["aprilgrid"] = field(name=_KIND)
     tag_cols: Count
     tag_rows: Count
     tag_size: Positive
@@ -58,9 +56,10 @@ class _AprilGrid(_Kalibrs, tag="aprilgrid"):
         )
 
 
-class _Checkerboard(_Kalibrs, tag="checkerboard"):
+class _Checkerboard(Struct, rename="camel"):
     """Kalibr counts inner corners; the last four are of its own search."""
 
+    kind: Literal["checkerboard"] = field(name=_KIND)
     target_cols: Count
     target_rows: Count
     row_spacing_meters: Positive
@@ -81,6 +80,9 @@ class _Checkerboard(_Kalibrs, tag="checkerboard"):
         return Face(0, Pattern.CHECKERBOARD, *size, along, *NOWHERE)
 
 
+_BOARDS = {"aprilgrid": _AprilGrid, "checkerboard": _Checkerboard}
+
+
 def read_kalibr_target(path: Path) -> Target:
     """The target in Kalibr's YAML; raises TargetError that names file and key."""
     text = read_text(path, "Kalibr target file", TargetError)
@@ -90,11 +92,14 @@ def read_kalibr_target(path: Path) -> Target:
         line = getattr(getattr(reason, "problem_mark", None), "line", None)
         where = path if line is None else f"{path}:{line + 1}"
         raise TargetError(f"{where}: not valid YAML; mend that line") from None
+    if not isinstance(document, dict):
+        raise TargetError(f"{path}: no target of Kalibr's (a mapping is needed); give target.yaml")
+    kind = str(document.get(_KIND))
+    if kind not in _BOARDS:
+        known = " or ".join(_BOARDS)
+        raise TargetError(f"{path}: {_KIND} is «{kind}»; only {known} can be imported")
     try:
-        face = msgspec.convert(document, _AprilGrid | _Checkerboard).face()
-    except msgspec.ValidationError as reason:
-        remedy = "give Kalibr's target.yaml of an aprilgrid or a checkerboard, with its keys"
-        raise TargetError(f"{path}: {reason}; {remedy}") from None
+        face = checked(document, _BOARDS[kind], str(path), TargetError).face()
     except ValueError as reason:
         raise TargetError(f"{path}: {reason}") from None
     return Target(path.stem, (face,))

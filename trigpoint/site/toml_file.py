@@ -1,6 +1,7 @@
 """TOML files read into frozen msgspec structs, errors naming file, line and key; and written."""
 
 import json
+import math
 import re
 import tomllib
 from collections.abc import Mapping
@@ -40,6 +41,14 @@ def parse_toml(
         line = _line_of(lines, problem.path)
         where = f"{file}:{line}" if line else file
         raise error(f"{where}: {_dotted(problem.path)}{problem.text}") from None
+
+
+def checked(document: object, struct: type[Struct], file: str, error: type[InputError]) -> Struct:
+    """The struct in a document of another format; raise `error` with «file: what, what to do»."""
+    try:
+        return _convert(document, struct, ())
+    except _Problem as problem:
+        raise error(f"{file}: {_dotted(problem.path)}{problem.text}") from None
 
 
 def load_toml(path: Path, struct: type[Struct], kind: str, error: type[InputError]) -> Struct:
@@ -92,12 +101,16 @@ def _convert(value: Any, kind: Any, path: KeyPath) -> Any:
         inner = get_args(kind)[0]
         return tuple(_convert(item, inner, (*path, i)) for i, item in enumerate(value))
     try:
-        return msgspec.convert(value, kind)
+        found = msgspec.convert(value, kind)
     except msgspec.ValidationError as reason:
         if choices := _choices(kind):
             text = f": «{value}» is none of {', '.join(choices)}{nearest(str(value), choices)}"
             raise _Problem(path, text) from None
         raise _Problem(path, f": {_plain(reason)}; correct it") from None
+    for number in found if isinstance(found, tuple) else [found]:
+        if isinstance(number, float) and not math.isfinite(number):
+            raise _Problem(path, f" is {number}; write a finite number")
+    return found
 
 
 def _choices(kind: Any) -> list[str]:
@@ -113,13 +126,15 @@ def _convert_struct(value: Any, struct: type[msgspec.Struct], path: KeyPath) -> 
     if not isinstance(value, dict):
         raise _Problem(path, " must be a table")
     kinds = get_type_hints(struct, include_extras=True)
+    known = {field.encode_name: field for field in msgspec.structs.fields(struct)}
     for key in value:
-        if key not in kinds:
-            raise _Problem((*path, key), f" is not a known key{nearest(key, kinds)}")
-    for field in msgspec.structs.fields(struct):
-        if field.required and field.name not in value:
-            raise _Problem(path, f"{' ' if path else ''}needs the key «{field.name}»; add it")
-    fields = {key: _convert(item, kinds[key], (*path, key)) for key, item in value.items()}
+        if key not in known:
+            raise _Problem((*path, key), f" is not a known key{nearest(key, known)}")
+    for key, field in known.items():
+        if field.required and key not in value:
+            raise _Problem(path, f"{' ' if path else ''}needs the key «{key}»; add it")
+    names = {key: known[key].name for key in value}
+    fields = {name: _convert(value[key], kinds[name], (*path, key)) for key, name in names.items()}
     try:
         return struct(**fields)
     except ValueError as reason:

@@ -167,16 +167,20 @@ def test_kalibrs_checkerboard_is_imported_by_its_squares(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("text", "why"),
     [
-        (APRIL.replace("tagSize: 0.088", "tagSize: -1"), "$.tagSize"),
-        (APRIL.replace("tagSize: 0.088", "tagSize: .inf"), "$.tagSize"),
-        (APRIL.replace("tagSpacing: 0.3", "tagSpacing: .inf"), "$.tagSpacing"),
-        (CHECKER.replace("rowSpacingMeters: 0.06", "rowSpacingMeters: .inf"), "$.rowSpacingMeters"),
-        (APRIL.replace("tagRows: 5\n", ""), "missing required field `tagRows`"),
-        (APRIL + "tagBits: 2\n", "unknown field `tagBits`"),
+        (APRIL.replace("tagSize: 0.088", "tagSize: -1"), "tagSize: expected «float» > 0"),
+        (APRIL.replace("tagSize: 0.088", "tagSize: .inf"), "tagSize is inf"),
+        (APRIL.replace("tagSpacing: 0.3", "tagSpacing: .inf"), "tagSpacing is inf"),
+        (
+            CHECKER.replace("rowSpacingMeters: 0.06", "rowSpacingMeters: .inf"),
+            "rowSpacingMeters is inf",
+        ),
+        (APRIL.replace("tagRows: 5\n", ""), "needs the key «tagRows»"),
+        (APRIL + "tagBits: 2\n", "tagBits is not a known key"),
         (CHECKER.replace("rowSpacingMeters: 0.06", "rowSpacingMeters: 0.05"), "square squares"),
         (CHECKER.replace("targetCols: 8", "targetCols: 6"), "make columns and rows differ"),
-        ("target_type: circlegrid\n", "Invalid value 'circlegrid'"),
-        ("- 1\n", "got `array`"),
+        ("target_type: circlegrid\n", "target_type is «circlegrid»"),
+        ("target_type: [1]\n", "target_type is «[1]»"),
+        ("- 1\n", "a mapping is needed"),
     ],
 )
 def test_what_cannot_be_imported_is_named(tmp_path: Path, cli: Cli, text: str, why: str) -> None:
