@@ -4,6 +4,7 @@ import errno
 import gc
 import importlib
 import itertools
+import logging
 import os
 import signal
 import sys
@@ -246,8 +247,10 @@ def run(arguments: Sequence[str]) -> int:
     except OSError as error:
         if not (error.filename and error.strerror):
             raise
+        logging.getLogger(__name__).debug("where it was", exc_info=True)
         wrong = f"{error.filename}: {error.strerror[:1].lower()}{error.strerror[1:]}"
-        return _fail(f"{wrong}; check the path, its rights and its disk", _status_of(error))
+        status = 2 if error.errno in _GIVEN_WRONG else 1
+        return _fail(f"{wrong}; check the path, its rights and its disk", status)
     except typer.Abort:
         return 130
     if not arguments:
@@ -386,9 +389,11 @@ def missing_extra(error: ModuleNotFoundError, user: str, extra: str) -> MissingE
     )
 
 
-def _status_of(error: OSError) -> int:
-    """1 where a disk failed or is full, 2 where another path is to be given."""
-    return 1 if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO) else 2
+_GIVEN_WRONG = {
+    *(errno.ENOENT, errno.EACCES, errno.EPERM, errno.EEXIST, errno.ENAMETOOLONG),
+    *(errno.ENOTDIR, errno.EISDIR, errno.ELOOP),
+}
+"""What another path mends. All else may be well when a service is started again."""
 
 
 def _fail(text: str, status: int) -> int:

@@ -57,6 +57,7 @@ class ClockWatch:
         self._course_ns = 0
         self.is_off = False
         node.health.gauge("clock_offset_ms", self._offset_ms)
+        node.health.gauge(CLOCK_OFF_BY, self._off_by_s)
 
     @property
     def _best(self) -> ClockOffset | None:
@@ -66,6 +67,11 @@ class ClockWatch:
     def _offset_ms(self) -> float | None:
         best = self._best
         return None if best is None else 1e3 * best.offset_s
+
+    def _off_by_s(self) -> float | None:
+        """How far ahead this clock is, where that is certainly more than is borne."""
+        best = self._best
+        return None if best is None or not self.is_off else round(-best.offset_s, 3)
 
     def run(self, pulse: Pulse) -> None:
         """Ask until the node stops."""
@@ -107,9 +113,7 @@ class ClockWatch:
         self.is_off = best is not None and best.exceeds(self._limit_s)
         if best is None or not self.is_off:
             health.release(CLOCK_IS_OFF)
-            health.describe(CLOCK_OFF_BY, None)
             return
-        health.describe(CLOCK_OFF_BY, f"{-best.offset_s:+.3f}")
         side = "behind" if best.offset_s > 0 else "ahead of"
         health.hold(
             CLOCK_IS_OFF,

@@ -95,13 +95,10 @@ class Health:
         with self._lock:
             self._gauges[name] = read
 
-    def describe(self, name: str, text: str | None) -> None:
-        """Show a state in words, replacing its previous text; None: show it no longer."""
+    def describe(self, name: str, text: str) -> None:
+        """Show a state in words, replacing its previous text."""
         with self._lock:
-            if text is None:
-                self._descriptions.pop(name, None)
-            else:
-                self._descriptions[name] = text
+            self._descriptions[name] = text
 
     def watch(self, name: str, subscription: Incoming) -> None:
         """Show a subscription's total, rate, depth and losses."""

@@ -99,7 +99,10 @@ def test_shell_completes_commands_and_the_options_of_one() -> None:
 
 @pytest.mark.parametrize(
     ("number", "status"),
-    [(errno.ENAMETOOLONG, 2), (errno.EACCES, 2), (errno.EROFS, 2), (errno.ENOSPC, 1)],
+    [
+        *((errno.ENAMETOOLONG, 2), (errno.EACCES, 2), (errno.ELOOP, 2)),
+        *((errno.EROFS, 1), (errno.ENOSPC, 1), (errno.EMFILE, 1), (errno.ENODEV, 1)),
+    ],
 )
 def test_a_file_that_the_system_refuses_is_one_line(
     number: int, status: int, monkeypatch: pytest.MonkeyPatch, cli: Cli

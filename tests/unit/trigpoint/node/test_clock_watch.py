@@ -81,7 +81,7 @@ def test_clock_that_is_off_holds_until_it_is_set_right(desk: Desk) -> None:
         "this machine's clock is 0.020 s behind fusion's, where 0.006 s are borne: corrections are "
         "held; synchronise the clocks (trigpoint doctor)"
     ]
-    assert desk.node.health.report().values[CLOCK_OFF_BY] == "-0.020"
+    assert desk.node.health.report().values[CLOCK_OFF_BY] == "-0.02"
     desk.ahead_ns = -1_000_000
     for _ in range(8):
         desk.watch.ask()
