@@ -35,12 +35,14 @@ PICTURE_BYTES = 60_000
 
 
 class Sent(Struct, frozen=True):
-    """Messages of one key: how many a second, of how many bytes."""
+    """Messages of one key: how many a second, of how many bytes; `is_unasked`: pictures too are
+    sent although nobody listens."""
 
     topic: Topic
     name: str
     rate: float
     size: int
+    is_unasked: bool = False
 
 
 NODES: dict[str, tuple[tuple[Kind, str], tuple[Sent, ...], tuple[Topic, ...]]] = {
@@ -63,7 +65,10 @@ NODES: dict[str, tuple[tuple[Kind, str], tuple[Sent, ...], tuple[Topic, ...]]] =
     # What a broken or a stolen camera can do within its rules: large pictures, and garbage.
     "flood": (
         (Kind.CAMERA, "c2"),
-        (Sent(topics.IMAGE, "c2", 1000.0, 200_000), Sent(topics.SIGHTINGS, "c2", 1000.0, 17)),
+        (
+            Sent(topics.IMAGE, "c2", 1000.0, 200_000, is_unasked=True),
+            Sent(topics.SIGHTINGS, "c2", 1000.0, 17),
+        ),
         (),
     ),
 }
@@ -142,7 +147,7 @@ class Sender(threading.Thread):
 
 def _is_wanted(publisher: Publisher, sent: Sent) -> bool:
     """Pictures leave a camera only while somebody listens."""
-    return sent.topic is not topics.IMAGE or publisher.has_listener
+    return sent.is_unasked or sent.topic is not topics.IMAGE or publisher.has_listener
 
 
 def _listen(subscription: Subscription, came: "array[int]", stopping: threading.Event) -> None:

@@ -120,6 +120,32 @@ def test_two_cameras_of_one_agent_play_to_their_ends(tmp_path: Path, free_port) 
             assert process.wait(60) == 0
 
 
+def test_camera_whose_source_ends_is_gone_while_the_agents_other_goes_on(
+    tmp_path: Path, free_port
+) -> None:
+    for name in ("c1", "c2"):
+        (tmp_path / name).mkdir()
+        for number in range(8):
+            cv2.imwrite(str(tmp_path / name / f"{number}.png"), plain_picture())
+    more = f'[cameras.c2]\nsource = "dir://{tmp_path}/c2?loop=1"'
+    site = write_site(
+        tmp_path, free_port(), f'source = "dir://{tmp_path}/c1"\nrate = 2.0', more=more
+    )
+    with open_bus(site) as bus, agent(tmp_path, "--camera", "c1", "--camera", "c2") as process:
+        seen = set[str]()
+
+        def alive() -> list[str]:
+            found = bus.alive(alive_key("lab", "edge", "*"))
+            seen.update(found)
+            return found
+
+        first, second = alive_key("lab", "edge", "c1"), alive_key("lab", "edge", "c2")
+        assert eventually(lambda: first not in alive() and seen == {first, second}, 30.0)
+        assert alive() == [second]
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(10.0) == 0
+
+
 def test_snapshot_is_answered_and_sigint_ends_orderly(tmp_path: Path, free_port) -> None:
     (tmp_path / "shots").mkdir()
     cv2.imwrite(str(tmp_path / "shot.png"), picture_of([VIEW]))

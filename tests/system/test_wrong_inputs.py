@@ -33,11 +33,18 @@ def test_an_answer_is_right_in_status_words_and_what_is_used(
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_wrong_input_is_written_with_the_command_that_gets_it(kind: str, tmp_path: Path) -> None:
-    case = KINDS[kind](tmp_path, np.random.default_rng(5))
-    with case.beside:
-        pass  # a board's port is closed behind it
-    assert any((tmp_path / str(word)).exists() for word in case.words)
+def test_a_wrong_input_is_the_same_for_the_same_number(kind: str, tmp_path: Path) -> None:
+    drawn = []
+    for name in ("a", "b"):
+        folder = tmp_path / name
+        folder.mkdir()
+        case = KINDS[kind](folder, np.random.default_rng(5))
+        with case.beside:
+            pass  # a board's port is closed behind it
+        words = [str(word).replace(str(folder), "") for word in case.words]
+        drawn.append((words, case.statuses, case.says, case.never, case.seen))
+    assert drawn[0] == drawn[1]
+    assert any((tmp_path / "a").iterdir())
 
 
 @pytest.mark.long

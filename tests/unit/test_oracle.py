@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 from support.oracle import posterior as oracle_module
+from support.oracle.posterior import Oracle
 from support.oracle.sessions import Shape, SmallSession, drawn_shape, small_session
 from support.oracle.solver import gaps_of
 from support.oracle.verdict import Scored
@@ -66,6 +67,22 @@ def test_a_board_seen_alone_may_be_any_face_either_way_up_by_either_minimum_in_s
     opaque = readings_of(look, session.target, Priors())
     assert len(opaque) == 1 + 12  # one minimum of each face and way up would show a hidden one
     assert len(free) == 1 + 24
+
+
+def test_residuals_have_the_derivative_that_differences_have() -> None:
+    session = small_session(_PLAIN)
+    look = session.looks[0]
+    best = min(readings_of(look, session.target, Priors())[1:], key=lambda r: r.cost + r.chi2)
+    seen = corners_of(look, session.target, best.labels)
+    pose = best.camera_from_base
+    assert pose is not None
+    error, jacobian = residuals(look.lens, pose, *seen)
+    for column in range(6):
+        step = 1e-6 * np.eye(6)[column]
+        ahead = residuals(look.lens, pose.disturbed(step), *seen)[0]
+        behind = residuals(look.lens, pose.disturbed(-step), *seen)[0]
+        assert np.allclose(jacobian[:, column], (ahead - behind) / 2e-6, atol=1e-3, rtol=1e-4)
+    assert error @ error == pytest.approx(best.chi2)
 
 
 def test_the_noise_of_a_gap_is_that_of_many_drawn_drives() -> None:
@@ -149,6 +166,15 @@ def test_the_minimum_is_the_one_that_scipy_finds_over_all_pixels() -> None:
     assert np.abs(found.x[6:]).max() < 1e-5
     assert best.cost == pytest.approx(expected - 2 * events, abs=1e-3)
     assert np.allclose(np.linalg.inv(normal)[6:, 6:], covariance, rtol=1e-3, atol=1e-9)
+
+
+def test_one_picture_costs_what_its_reading_does_by_itself() -> None:
+    session = small_session(Shape(5, (0,), is_alike=False))
+    oracle = session.oracle()
+    best = min(r.first_cost for r in oracle.readings[0] if r.covariance is not None)
+    priors = oracle.priors
+    alone = best + 2 * math.log(priors.camera_room)
+    assert oracle.explanations[0].cost == pytest.approx(alone, abs=0.05)
 
 
 def test_a_single_known_sighting_is_located_and_may_be_wrong_by_its_prior() -> None:
@@ -243,3 +269,11 @@ def test_what_the_oracle_locates_is_where_it_says(number: int) -> None:
             assert error @ np.linalg.solve(place.covariance[:3, :3], error) < 64
         masses = sum(p.mass for p in verdict.places) + verdict.by_wrong + verdict.by_lift
         assert masses == pytest.approx(1, abs=1e-9)
+
+
+def test_a_picture_between_odometry_messages_is_refused() -> None:
+    session = small_session(_PLAIN)
+    odometry = [m for m in session.odometry if m.stamp_ns != session.looks[0].stamp_ns]
+    noise = session.site.robots["r1"].odometry
+    with pytest.raises(ValueError, match="no odometry at the picture's stamp"):
+        Oracle(odometry, session.looks, session.target, noise)

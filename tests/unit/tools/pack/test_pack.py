@@ -182,12 +182,10 @@ def installed(place: Path, root: Path) -> "subprocess.CompletedProcess[str]":
 
 def test_archive_installs_into_a_folder_without_root(folder: Path, tmp_path: Path) -> None:
     place, root = packed("camera", "c1", "--connect", SERVER), tmp_path / "a root"
-    earlier = root / "var/lib/trigpoint/site.toml"  # of what was installed there before
-    earlier.parent.mkdir(parents=True)
-    earlier.write_text("old")
     result = installed(place, root)
     assert result.returncode == 0, result.stderr
-    node_credentials(load_site(earlier), Kind.CAMERA, "c1")  # with modes that are let through
+    site = load_site(root / "var/lib/trigpoint/site.toml")
+    node_credentials(site, Kind.CAMERA, "c1")  # with modes that are let through
     assert mode(root / "var/lib/trigpoint") == 0o700
     assert (root / "etc/systemd/system/trigpoint-edge@.service").is_file()
     words = [root / "opt/trigpoint/bin/python", "-P", "-m", "trigpoint", "edge"]
@@ -195,6 +193,8 @@ def test_archive_installs_into_a_folder_without_root(folder: Path, tmp_path: Pat
         words, capture_output=True, text=True, timeout=60, env={"PATH": os.environ["PATH"]}
     )
     assert said.stdout == "ran edge\n"
+    again = installed(place, root)
+    assert again.returncode == 0, again.stderr
 
 
 def test_archive_of_another_machine_is_not_installed(folder: Path, tmp_path: Path) -> None:

@@ -80,7 +80,7 @@ def test_damaged_message_is_refused_or_read_as_by_its_definition(
     payload = bytearray(encode(message))
     for _ in range(data.draw(st.integers(0, 3))):
         payload[data.draw(st.integers(0, len(payload) - 1))] = data.draw(st.integers(0, 255))
-    length = len(payload) + data.draw(st.integers(-5, 5))
+    length = data.draw(st.integers(0, len(payload) + 5))
     damaged = bytes(payload[:length]) + bytes(max(0, length - len(payload)))
     try:
         read = by_layout(type_name(message), damaged)
