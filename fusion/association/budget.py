@@ -83,9 +83,9 @@ class Budget(Struct):
         """Note the solution of a visit with so many corners in so many steps."""
         self.spent += (steps + _AROUND) * (_STEP + _CORNER * corners)
 
-    def spend_placing(self, *, unknowns: Iterable[int]) -> None:
-        """Note the solution of graphs with so many `unknowns` each."""
-        self.spent += sum(_PLACED + _UNKNOWN * count for count in unknowns)
+    def spend_placing(self, *, unknowns: int) -> None:
+        """Note the solution of a graph with so many unknowns."""
+        self.spent += _PLACED + _UNKNOWN * unknowns
 
     def spend_starting(self, *, ways: int, seeds: int) -> None:
         """Note a search for starts: so many ways to read sightings, so many of them seeds."""

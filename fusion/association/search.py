@@ -118,7 +118,7 @@ class Search:
 
     def _minimum(self, variant: Variant) -> Placed | None:
         found = self._graphs.placed(variant)
-        self.budget.spend_placing(unknowns=[found.layout.size if found else 0])
+        self.budget.spend_placing(unknowns=found.layout.size if found else 0)
         return found
 
     def scored(self, hypothesis: Hypothesis) -> Hypothesis:

@@ -231,8 +231,8 @@ def corners_in_base(
     """A view's corners (n, 3) in the robot's base frame by a reading, each when its own row is
     exposed; `base_from_face`: all faces, where they are not as the target says."""
     face = target.faces[reading.face]
-    pose = face.base_from_face if base_from_face is None else base_from_face[reading.face]
-    points = pose @ face_points(face, view.corners, is_turned=reading.is_turned)
+    poses = base_from_faces(target) if base_from_face is None else base_from_face
+    points = poses[reading.face] @ face_points(face, view.corners, is_turned=reading.is_turned)
     return points if view.sweep is None else points + view.sweep.shift(points)
 
 

@@ -46,7 +46,7 @@ class PoseSamples(Struct, frozen=True, dict=True):
         """The samples (n)."""
         return self.about.repeated(len(self.disturbances)).disturbed(self.disturbances)
 
-    @property
+    @cached_property
     def centred(self) -> Self:
         """The same samples about their mean."""
         return self if self.is_centred else self.of(self.poses)

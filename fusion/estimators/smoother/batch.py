@@ -153,7 +153,7 @@ def leave_out_contradicting(
     return bool(left_out)
 
 
-def _compensated(by_base: Array, residual: Array, variances: Array) -> Array:
+def compensated(by_base: Array, residual: Array, variances: Array) -> Array:
     """Residuals (n, K, 2) of pictures less what the robot's best-fitting deviation from its node in
     each, of `variances` (n, 6), explains of them; `by_base` (n, K, 2, 6): their derivative by it.
 
@@ -175,7 +175,7 @@ def _excesses(data: DataSet, batch: Batch, state: State, events: Events) -> list
     residual = batch_residual(batch, state)
     found: list[_Excess] = []
     if batch.jitter is not None:
-        residual = _compensated(by_base, residual, batch.jitter)
+        residual = compensated(by_base, residual, batch.jitter)
     shown = [
         (row, source, order, part)
         for row, source in enumerate(batch.sources.tolist())

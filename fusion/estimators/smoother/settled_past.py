@@ -29,7 +29,8 @@ _OPEN_GROWTH = 3.0
 # Of each robot so many sightings stay.
 _LEAST_OF_A_ROBOT = 20
 _MOST_EARLIER = 64
-_AWAY_NS = 10 * NANOSECONDS
+AWAY_NS = 10 * NANOSECONDS
+"""Behind so long a time a robot comes before a camera anew."""
 _PATH_STEP_NS = NANOSECONDS // 10
 
 
@@ -97,7 +98,7 @@ def _comings_ns(data: DataSet) -> list[int]:
     comings_ns = []
     for stamps in seen.values():
         own_ns = np.sort(stamps)
-        is_new = np.diff(own_ns, prepend=own_ns[0] - 2 * _AWAY_NS) > _AWAY_NS
+        is_new = np.diff(own_ns, prepend=own_ns[0] - 2 * AWAY_NS) > AWAY_NS
         comings_ns += own_ns[is_new].tolist()
     return comings_ns
 

@@ -159,12 +159,13 @@ class Smoother(Live):
                 move = unseen_move(self.data, self._batch.state, since_ns)
             except LinAlgError:  # what does not determine a place tells of no move
                 break
+            told, explanation = list(self.data.told), self._explainer.explanation
             if move is None or not self.data.tell(move):
                 break
             try:
                 known = self._batch.solve(self._explainer.explain(self._batch.scales))
             except (LinAlgError, ValueError):  # the solution before it stands
-                self.data.told.remove(move)
+                self.data.told, self._explainer.explanation = told, explanation
                 break
         return known
 

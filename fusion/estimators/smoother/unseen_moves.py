@@ -14,7 +14,6 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from trigpoint.base.clock import NANOSECONDS
 from trigpoint.fusion.association.events import Events
 from trigpoint.fusion.model.assembly import assemble
 from trigpoint.fusion.model.dataset import CameraMove, DataSet, Entry, Move
@@ -23,10 +22,13 @@ from trigpoint.fusion.solver.equations import Reduced, covariance_of
 from trigpoint.fusion.solver.levenberg_marquardt import linearise
 from trigpoint.geometry.rotation import Array
 
-_AWAY_NS = 10 * NANOSECONDS
+from .settled_past import AWAY_NS
+
 # A single visit may be wrong.
 _FEWEST_VISITS = 2
-# So many visits to a place are told apart, from those before, and of so many places at once.
+# So many visits to a place are told apart, from those before, and of so many places at once: what a
+# map of a hundred cameras and of many days costs stays below a solution. A move is asked about at
+# the second visit after it, and up to two visits later.
 _MOST_VISITS, _MOST_PLACES = 4, 16
 
 
@@ -86,7 +88,7 @@ def _parts(data: DataSet, state: State) -> dict[str, list[_Part]]:
     stamps = {i: data.entries[i].observation.stamp_ns for i in data.usable(state.cameras)}
     for index, stamp_ns in sorted(stamps.items(), key=lambda item: item[1]):
         place = data.entries[index].observation.camera
-        if place not in seen_ns or stamp_ns - seen_ns[place] > _AWAY_NS:
+        if place not in seen_ns or stamp_ns - seen_ns[place] > AWAY_NS:
             visits[place].append([])
         visits[place][-1].append(index)
         seen_ns[place] = stamp_ns

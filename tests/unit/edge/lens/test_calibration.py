@@ -277,3 +277,16 @@ def _on(monitor: Pose, shown: View, name: str) -> View:
     """A view on a monitor of 40 cm."""
     plane = np.column_stack([shown.pixels * (0.4 / SIZE[0]), np.zeros(len(shown.pixels))])
     return replace(shown, name=name, pixels=PINHOLE.project(monitor @ plane))
+
+
+def test_halves_of_a_set_agree_within_their_sigmas() -> None:
+    """With a board that is bent another way in every view, as cardboard in a hand."""
+    pulls = []
+    for seed in range(6):
+        random = np.random.default_rng(seed)
+        views = [bent(view, random) for view in board_views(30, 300 + seed)]
+        halves = [views[half::2] for half in (0, 1)]
+        first, second = (fitted(PINHOLE, half) for half in halves)
+        sigmas = [knowledge(*pair).sigma for pair in zip((first, second), halves, strict=True)]
+        pulls.append((first.camera.parameters - second.camera.parameters) / np.hypot(*sigmas))
+    assert np.mean(np.abs(pulls) < 2) > 0.9

@@ -7,8 +7,10 @@ from support.fusion.picture_jitter import PictureJitter
 from support.fusion.slow_problem import about_best_fit, picture_of
 from support.fusion.small_problems import small_problem
 
+from trigpoint.fusion.estimators.smoother.batch import compensated
 from trigpoint.fusion.model.jitter import Jitter
 from trigpoint.fusion.model.prediction import (
+    base_jacobian,
     batch_jacobian,
     batch_residual,
     picture_factor,
@@ -43,6 +45,27 @@ def swayed(state: State, batch: Batch, by: np.ndarray) -> State:
     return replace(state, robots=state.robots | {batch.robot: moved})
 
 
+def test_a_picture_weighs_with_the_inverse_of_its_joint_covariance() -> None:
+    problem, batch, state = shaken()
+    n, shared = len(batch.nodes), np.diag(JITTER.variances)
+    jacobian, residual, _ = batch_jacobian(problem, batch, state)
+    by_base = base_jacobian(batch, state)
+    jacobian, by = jacobian.reshape(n, -1, jacobian.shape[-1]), by_base.reshape(n, -1, 6)
+    residual = residual.reshape(n, -1)
+    weight = np.linalg.inv(np.eye(by.shape[1]) + by @ shared @ np.swapaxes(by, 1, 2))
+    rows, left = PictureJitter.by(by, np.tile(JITTER.variances, (n, 1))).rows(jacobian, residual)
+    turned, pull = np.swapaxes(jacobian, 1, 2) @ weight, residual[..., None]
+    np.testing.assert_allclose(
+        np.swapaxes(rows, 1, 2) @ rows, turned @ jacobian, rtol=1e-6, atol=1e-3
+    )
+    np.testing.assert_allclose(
+        np.swapaxes(rows, 1, 2) @ left[..., None], turned @ pull, rtol=1e-6, atol=1e-3
+    )
+    np.testing.assert_allclose(
+        np.sum(left**2, axis=1), (np.swapaxes(pull, 1, 2) @ weight @ pull)[:, 0, 0], rtol=1e-9
+    )
+
+
 @pytest.mark.parametrize("is_shared", [False, True])
 def test_the_factor_of_a_picture_has_the_squares_of_its_equations(is_shared: bool) -> None:
     problem, batch, state = shaken()
@@ -59,6 +82,16 @@ def test_the_factor_of_a_picture_has_the_squares_of_its_equations(is_shared: boo
     np.testing.assert_array_equal(dense, columns)
     np.testing.assert_allclose(np.tril(factor, -1), 0.0, atol=1e-9)
     np.testing.assert_allclose(factor.T @ factor, whole.T @ whole, rtol=1e-9, atol=1e-6)
+
+
+def test_what_a_disturbance_makes_is_taken_out_and_nothing_else() -> None:
+    random = np.random.default_rng(3)
+    by_base, shift = 100 * random.normal(size=(2, 20, 2, 6)), random.normal(size=(2, 6))
+    residual = -np.einsum("nkij,nj->nki", by_base, shift)
+    variances = np.full((2, 6), 1e4)
+    assert np.abs(compensated(by_base, residual, variances)).max() < 1e-2
+    residual[1, 0, 0] += 10
+    assert np.abs(compensated(by_base, residual, variances)).max() > 5
 
 
 def test_pictures_that_share_a_tilt_weigh_together_as_one() -> None:
