@@ -15,7 +15,7 @@ from trigpoint.base.errors import RecordingError
 from trigpoint.base.terminal import waiting
 
 _PACKED = (".zstd", ".zst")
-_PIECE = 1 << 11  # bytes that are unpacked at once: to 64 MiB at most, as four may be 128 KiB
+_PIECE = 1 << 11  # bytes unpacked at once: 4 may be a block of 128 KiB, so these 64 MiB
 
 _LOG = logging.getLogger(__name__)
 

@@ -42,7 +42,7 @@ def alignment_words(building: Building) -> str:
     """Where the map lies, and how well that is known."""
     x, y, z = building.frame_from_map.translation
     turn = math.degrees(float(building.frame_from_map.heading))
-    words = f"the map in {building.frame}: ({x:.3f}, {y:.3f}, {z:.3f}) m, turned by {turn:.3f}°"
+    words = f"The map in {building.frame}: ({x:.3f}, {y:.3f}, {z:.3f}) m, turned by {turn:.3f}°"
     if building.laying is None:
         return f"{words}, as the site file says"
     sigmas = np.sqrt(np.diagonal(building.covariance))

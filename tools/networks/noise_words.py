@@ -14,8 +14,8 @@ def noise_words(chi2_per_dof: float, noise: tuple[str, ...] = ()) -> str:
     by = math.sqrt(chi2_per_dof)
     if chi2_per_dof > _FAR:
         return (
-            f"{words}; sigmas are too small by {by:.1f}: look at each camera's residuals in the "
-            "report, give a better lens, or raise [robots.NAME.odometry] where all cameras have it"
+            f"{words}; sigmas are too small by {by:.1f}: look at each camera's residuals, "
+            "give a better lens, or raise [robots.NAME.odometry] where all cameras have it"
         )
     if chi2_per_dof < 1 / _FAR:
         return (

@@ -1,4 +1,5 @@
-"""What a node says in its diagnostics of a clock that cannot be relied on.
+"""What a node says in its diagnostics of a clock that cannot be relied on; and which diagnostics
+may say of anything that it cannot be.
 
 Said once a second for as long as it lasts; diagnostics may be lost.
 """

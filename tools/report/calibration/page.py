@@ -126,7 +126,7 @@ def _building(results: CalibrationResults) -> str:
         return section(title, element("p", escape(results.building_problem)))
     if building is None:
         return ""
-    words = f"T{alignment_words(building)[1:]}"
+    words = alignment_words(building)
     if building.laying is None:
         return section(title, note(f"{words}."))
     words += (

@@ -98,7 +98,7 @@ def test_surveyed_cameras_lay_the_map_over_the_building(
     places = {name: pose["translation"] for name, pose in truth.items()}
     here = _mapped(recorded, tmp_path, {n: [x + 50, y - 20, z] for n, (x, y, z) in places.items()})
     said = cli("calibrate", recorded, "--site", here, "--out", tmp_path).out
-    assert "the map in building: (50.0" in said
+    assert "The map in building: (50.0" in said
     record = json.loads((tmp_path / "alignment.json").read_text())
     assert record["frame_from_map"]["translation"] == pytest.approx([50, -20, 0], abs=0.1)
     aligned = load_network(tmp_path / "building")
