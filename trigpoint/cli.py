@@ -389,10 +389,8 @@ def missing_extra(error: ModuleNotFoundError, user: str, extra: str) -> MissingE
     )
 
 
-_GIVEN_WRONG = {
-    *(errno.ENOENT, errno.EACCES, errno.EPERM, errno.EEXIST, errno.ENAMETOOLONG),
-    *(errno.ENOTDIR, errno.EISDIR, errno.ELOOP),
-}
+_GIVEN_WRONG = {errno.ENOENT, errno.EACCES, errno.EPERM, errno.EEXIST, errno.ENAMETOOLONG}
+_GIVEN_WRONG |= {errno.ENOTDIR, errno.EISDIR, errno.ELOOP}
 """What another path mends. All else may be well when a service is started again."""
 
 
