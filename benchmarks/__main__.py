@@ -13,6 +13,7 @@ from .report import machine, tell, write_report
 from .table import BENCHMARKS, Row, columns
 
 _FOLDER = Path("out")
+sys.path.append(str(Path(__file__).parents[1] / "tests"))  # whose helpers some of them share
 
 _SHORT = [name for name, benchmark in BENCHMARKS.items() if benchmark.is_short]
 

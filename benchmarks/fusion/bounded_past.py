@@ -1,7 +1,7 @@
 """A long session whose past is summarised, beside the same solved as a whole.
 
-    PYTHONPATH=tests python -m benchmarks bounded [--laps L] [--sessions S] [--lenses]
-    PYTHONPATH=tests python -m benchmarks bounded --days D [--laps L] [--cameras C]
+    python -m benchmarks bounded [--laps L] [--sessions S] [--lenses]
+    python -m benchmarks bounded --days D [--laps L] [--cameras C]
 
 A robot drives L times round ten cameras: with each lap it comes before each once. Both times all of
 it is explained; once with the limits of a live map (`settled_past.LIVE`), once with none. Errors

@@ -1,4 +1,4 @@
-"""`PYTHONPATH=tests python -m benchmarks page`: what the page costs, of a large site.
+"""`python -m benchmarks page`: what the page costs, of a large site.
 
 A process publishes 100 cameras and 30 robots at 10 Hz over Zenoh, `trigpoint board` serves them, a
 socket counts what one page takes, and Chromium, where there is one, shows the page: how long after
