@@ -126,7 +126,8 @@ public:
 
     // Marks the wild corners, and the sightings that are likelier wrong, or right, than taken;
     // whether any is marked otherwise than before. Where the state `is_robust`, minimising the
-    // robust cost, only the worst sighting is sure to be wrong.
+    // robust cost, only the worst sighting is sure to be wrong, and none that wild corners still
+    // pull at: what nearly alone determines an unknown looks far off for a small pull.
     bool judge(const Problem& problem, const Linearised& linearised, bool is_robust) {
         System system;
         if (!system.set(linearised)) return false;
@@ -137,7 +138,7 @@ public:
         double most = 0;
         std::vector<Index> order;
         for (Index v = 0; v < views_.count(); ++v)
-            if (!wrong[v]) {
+            if (!wrong[v] && !(is_robust && has_wild(v))) {
                 order.push_back(v);
                 most = std::max(most, excess[at(v)]);
             }
@@ -198,6 +199,10 @@ private:
     std::int64_t* whole(int which) const { return array(which).as<std::int64_t>(); }
     bool* flags(int which) const { return array(which).as<bool>(); }
     bool* wild(Index view) const { return flags(IS_WILD) + views_.first_corner(view); }
+    bool has_wild(Index view) const {
+        return std::any_of(wild(view), wild(view) + views_.corners(view),
+                           [](bool is) { return is; });
+    }
     bool estimates_faces() const { return whole(ROBOTS)[6] >= 0; }
 
     // Of all corners, including those that are left out.

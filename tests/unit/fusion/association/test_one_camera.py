@@ -16,7 +16,10 @@ from support.fusion.drives import (
 )
 
 from trigpoint.fusion.association.engine import explain
+from trigpoint.fusion.association.events import Events
 from trigpoint.fusion.association.explanation import CameraFinding
+from trigpoint.fusion.association.modes import ModeFinder
+from trigpoint.fusion.association.visits import visits_of
 from trigpoint.fusion.model.dataset import DataSet, Entry
 from trigpoint.fusion.model.observations import Reading, View
 from trigpoint.fusion.reading.best_readings import readings_rms_px
@@ -135,6 +138,31 @@ def test_a_few_wild_pictures_do_not_move_the_camera() -> None:
         )
         entry.observation = replace(entry.observation, views=views)
     assert error(found_in(data))[:3].max() < 0.03
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_single_picture_of_an_unknown_lens_is_right_beside_its_wild_corners(seed: int) -> None:
+    """A picture that nearly alone tells the lens looks far off for what its wild corners pull."""
+    random = np.random.default_rng(seed)
+    robot = RobotPlan(circle(), target_of("charuco"))
+    plan = Plan({"c1": CameraPlan(EYE, more='intrinsics = "estimate"')}, {"r1": robot}, seconds=4.0)
+    data = frontal(observed(make_session(plan)))
+    (entry,) = data.entries
+    (view,) = entry.observation.views
+    wild = np.zeros(len(view.corners), dtype=bool)
+    wild[random.choice(len(wild), 3, replace=False)] = True
+    away = np.where(wild[:, None], random.choice((-40.0, 40.0), (len(wild), 2)), 0.0)
+    seen = replace(
+        entry.observation, views=(replace(view, pixels=view.pixels + away),), chosen=None
+    )
+    data.entries[0] = Entry(seen, entry.map_from_base)
+    finder = ModeFinder(data, [seen], Events())
+    (visit,) = visits_of(data, [seen])
+    found = finder.modes_of(visit)
+    assert found.modes
+    for mode in found.modes:
+        assert mode.wrong == 0
+        np.testing.assert_array_equal(mode.wild[0][0], wild)
 
 
 def test_located_camera_is_never_mirrored() -> None:
