@@ -21,7 +21,7 @@ _PLACED = Kernel(
     float,
     float,
     In(np.float64, (FIT,)),
-    int,
+    float,
     float,
     float,
     Out(np.float64, ("n",)),
@@ -46,7 +46,7 @@ def placed(
     """The best place of the best of some boards on a grid; None where it shows too little of them,
     or leaves open where they lie.
 
-    `size`: of the picture; `fit`: from the grid's places to pixels, where it is known.
+    `size`: of the picture; `fit`: of the face of the only look, where it is known.
     """
     shapes = [(look.face.columns - 1, look.face.rows - 1, look.face.inverted) for look in looks]
     ids, which = np.empty(len(grid)), np.empty(2)
@@ -55,7 +55,7 @@ def placed(
         np.array(shapes, float),
         *size,
         _NO_FIT if fit is None else fit.packed,
-        fit is not None,
+        0.0 if fit is None else looks[0].face.square,
         TUNING.least_share,
         TUNING.enough_px,
         ids,
@@ -74,8 +74,7 @@ def keeps_its_place(look: Appearance, found: Measured, size: tuple[int, int]) ->
     face, ids = look.face, found.corners
     places = np.stack([ids % (face.columns - 1), ids // (face.columns - 1)], axis=-1).astype(int)
     is_dark = (places.sum(axis=1) % 2 == 0) ^ face.inverted
-    fit = found.fit.scaled(face.square)
-    again = placed(Grid(places, found.pixels, is_dark), [look], size, fit)
+    again = placed(Grid(places, found.pixels, is_dark), [look], size, found.fit)
     # What a board looks like after half a turn, it may be.
     either = ids, face.corner_count - 1 - ids
     return again is not None and any(np.array_equal(again.ids, same) for same in either)

@@ -1,6 +1,8 @@
 """Puts markers that may be right together to boards: those that agree on where the board lies, by
 the compiled core (`native/src/markers/groups.cpp`)."""
 
+from itertools import pairwise
+
 import numpy as np
 from msgspec import Struct
 
@@ -51,7 +53,7 @@ def group_markers(markers: Markers, layout: Array) -> list[MarkerGroup]:
         members,
         ends,
     )
-    parts = np.split(members, ends[:count])[:count]
+    parts = [members[begin:end] for begin, end in pairwise([0, *ends[:count].tolist()])]
     groups = [
         MarkerGroup(
             markers.numbers[part],

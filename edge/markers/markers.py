@@ -64,17 +64,18 @@ class MarkerReader:
         self._row = {marker: row for row, marker in enumerate(sorted(set(ids)))}
         known = predefined_dictionary(dictionary)
         self._side = known.markerSize + 2 * border_bits
-        cells = [_cells_of(known, marker, self._side, border_bits) for marker in self._row]
-        turned = [np.rot90(cell, -turn) for cell in cells for turn in range(4)]
+        cells = np.array(
+            [_cells_of(known, marker, self._side, border_bits) for marker in self._row]
+        )
+        turned = np.stack([np.rot90(cells, -turn, (1, 2)) for turn in range(4)], axis=1)
         # (cells, 4 · marker + turn)
-        self._templates = _normalised(np.array(turned).reshape(len(turned), -1)).T.copy()
+        self._templates = _normalised(turned.reshape(4 * len(cells), -1)).T.copy()
         centres = (np.arange(self._side) + 0.5) / self._side
         x, y = np.meshgrid(centres, centres)
         self._centres = np.stack([x, y], axis=-1).reshape(-1, 2)
         inside = np.abs(self._centres - 0.5).max(axis=1) < 0.5 - border_bits / self._side
         self._within = self._centres[inside]
-        flat = np.array(cells).reshape(len(cells), -1)
-        self._codes = _normalised(flat[:, inside]).T.copy()
+        self._codes = _normalised(cells.reshape(len(cells), -1)[:, inside]).T.copy()
 
     def scores(self, grey: np.ndarray, quads: Array) -> Array:
         """Correlation (n, markers, 4 turns) of quads (n, 4, 2) with each marker; 0: no contrast.
@@ -103,14 +104,13 @@ class MarkerReader:
         """The likeliest marker for each quad by its scores (n, markers, 4), if it scores at least
         `least`."""
         own = scores.reshape(len(quads), 4 * scores.shape[1])
-        best = np.argmax(own, axis=1)
+        best = own.argmax(axis=1)
         score = own[np.arange(len(quads)), best]
-        kept = np.flatnonzero(score >= least)
-        kept = kept[np.argsort(-score[kept], kind="stable")]
+        (kept,) = (score >= least).nonzero()
+        kept = kept[(-score[kept]).argsort(kind="stable")]
         numbers, turns = np.divmod(best[kept], 4)
         order = (turns[:, None] + np.arange(4)) % 4
-        corners = np.take_along_axis(quads[kept], order[..., None], axis=1)
-        return Markers(numbers, corners, score[kept], kept)
+        return Markers(numbers, quads[kept[:, None], order], score[kept], kept)
 
     def agreement(self, grey: np.ndarray, face: Face, quads: Array, numbers: np.ndarray) -> Array:
         """Score (n,) of quads as the upright markers `numbers` of a face."""

@@ -17,7 +17,6 @@ from trigpoint.native.library import In, Kernel, Out
 # while a face moves without turning; radial coefficients (2), the picture's centre (2), `scale`,
 # half its diagonal, how far aside the lens's centre is (2), and the bend's numbers.
 FIT = 45
-_BEND = slice(16, 20)
 _PROJECT = Kernel(
     "tp_project", In(np.float64, (FIT,)), In(np.float64, ("n", 2)), Out(np.float64, ("n", 2))
 )
@@ -47,13 +46,6 @@ class PlanarFit(Struct, frozen=True, eq=False):
         pixels = np.empty(points.shape)
         _PROJECT(self.packed, np.ascontiguousarray(points, dtype=float), pixels)
         return pixels
-
-    def scaled(self, unit: float) -> "PlanarFit":
-        """The same for points in units of `unit` metres."""
-        packed = self.packed.copy()
-        packed[:9].reshape(3, 3)[:, :2] *= unit
-        packed[_BEND] /= unit
-        return PlanarFit(packed)
 
     def residuals(self, points: Array, pixels: Array) -> Array:
         """Distance of each pixel (n, 2) from where the fit puts its point; (n,), pixels."""

@@ -53,6 +53,14 @@ BoardShape shape_of(double columns, double rows, double is_inverted) {
     return {static_cast<int>(columns), static_cast<int>(rows), is_inverted != 0};
 }
 
+// As a fit crosses the border, of a board of such squares, from its places to the picture.
+PlanarFit of_places(const Array& packed, double square) {
+    PlanarFit fit = PlanarFit::unpacked(packed.as<double>());
+    fit.homography.leftCols<2>() *= square;
+    fit.bend.middle /= square, fit.bend.half /= square;
+    return fit;
+}
+
 // Through a grid's corners, from their places to the picture.
 std::optional<PlanarFit> fit_of_places(const Grid& grid, double width, double height,
                                        double enough_px) {
@@ -115,18 +123,19 @@ TRIGPOINT_KERNEL(tp_grown) {
     return put(whole, arguments[3].array.rows<5>(), 0);
 }
 
-// (grid (n, 5), shapes (k, 3): columns, rows and whether inverted, width, height, fit of places,
-// has fit, least share, enough px, ids (n,), which (2): shape and score): of these boards the one
-// that lies best on the grid; how many of its corners the grid has, 0 where none does.
+// (grid (n, 5), shapes (k, 3): columns, rows and whether inverted, width, height, fit, its square
+// or 0 without a fit, least share, enough px, ids (n,), which (2): shape and score): of these
+// boards the one that lies best on the grid; how many of its corners the grid has, 0 where none
+// does.
 TRIGPOINT_KERNEL(tp_placed) {
     const Grid grid = grid_of(arguments[0].array);
     if (grid.empty()) return 0;
     const auto shapes = arguments[1].array.rows<3>();
     const double width = arguments[2].number, height = arguments[3].number;
-    const bool has_fit = arguments[5].whole != 0;
+    const double square = arguments[5].number;
     std::optional<PlanarFit> fit;
-    bool is_fitted = has_fit;
-    if (has_fit) fit = PlanarFit::unpacked(arguments[4].array.as<double>());
+    bool is_fitted = square > 0;
+    if (is_fitted) fit = of_places(arguments[4].array, square);
     const FitOfPlaces fit_of = [&] {
         if (!is_fitted) fit = fit_of_places(grid, width, height, arguments[7].number);
         is_fitted = true;
@@ -155,10 +164,7 @@ TRIGPOINT_KERNEL(tp_weighed) {
     if (grey.width < 1 || grey.height < 1) return 0;
     const BoardShape shape = shape_of(static_cast<double>(arguments[1].whole),
                                       static_cast<double>(arguments[2].whole), 0);
-    const double square = arguments[3].number;
-    PlanarFit fit = PlanarFit::unpacked(arguments[4].array.as<double>());
-    fit.homography.leftCols<2>() *= square;  // from places
-    fit.bend.middle /= square, fit.bend.half /= square;
+    const PlanarFit fit = of_places(arguments[4].array, arguments[3].number);
     const Array& numbers = arguments[5].array;
     const auto rows = arguments[6].array.rows<2>();
     std::vector<int> ids;

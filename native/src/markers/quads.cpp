@@ -39,16 +39,20 @@ void brightest(const std::uint8_t* __restrict above, const std::uint8_t* __restr
 }
 
 // Whether pixels are darker by DARKER than the mean of `window` × `window`: (value + DARKER) ·
-// window² <= sum; `sums`: of columns, with window / 2 more on both sides.
+// window² <= sum; `sums`: of columns, with window / 2 more on both sides. In numbers of 16 bits,
+// of which twice as many are compared at once.
 template <int WINDOW>
 inline __attribute__((always_inline)) void compare(const std::uint8_t* __restrict grey,
                                                    const std::uint16_t* __restrict sums,
                                                    std::uint8_t* __restrict dark,
                                                    std::int64_t count) {
+    constexpr int AREA = WINDOW * WINDOW;
+    static_assert((255 + DARKER) * AREA <= INT16_MAX);
     for (std::int64_t x = 0; x < count; ++x) {
-        std::int32_t sum = 0;
-        for (int k = 0; k < WINDOW; ++k) sum += sums[x + k];
-        dark[x] = (grey[x] + DARKER) * (WINDOW * WINDOW) <= sum + WINDOW * WINDOW / 2 ? 1 : 0;
+        std::uint16_t sum = AREA / 2;
+        for (int k = 0; k < WINDOW; ++k) sum = std::uint16_t(sum + sums[x + k]);
+        const auto least = static_cast<std::int16_t>((grey[x] + DARKER) * AREA);
+        dark[x] = static_cast<std::int16_t>(sum) >= least;
     }
 }
 
@@ -64,6 +68,15 @@ void compare_11(const std::uint8_t* grey, const std::uint16_t* sums, std::uint8_
     compare<11>(grey, sums, dark, count);
 }
 
+// Half a picture's row: each pixel the mean of two by two.
+TRIGPOINT_WIDE
+void halve(const std::uint8_t* __restrict upper, const std::uint8_t* __restrict lower,
+           std::uint8_t* __restrict to, std::int64_t count) {
+    for (std::int64_t x = 0; x < count; ++x)
+        to[x] = static_cast<std::uint8_t>(
+            (upper[2 * x] + upper[2 * x + 1] + lower[2 * x] + lower[2 * x + 1] + 2) / 4);
+}
+
 double cross(const Eigen::Vector2d& a, const Eigen::Vector2d& b) {
     return a.x() * b.y() - a.y() * b.x();
 }
@@ -77,10 +90,7 @@ Grey QuadSearch::shrunk(const Grey& grey, std::int64_t step) {
     for (std::int64_t y = 0; y < height; ++y) {
         std::uint8_t* to = shrunk_.data() + y * width;
         if (step == 2) {
-            const std::uint8_t *upper = grey.row(2 * y), *lower = grey.row(2 * y + 1);
-            for (std::int64_t x = 0; x < width; ++x)
-                to[x] = static_cast<std::uint8_t>(
-                    (upper[2 * x] + upper[2 * x + 1] + lower[2 * x] + lower[2 * x + 1] + 2) / 4);
+            halve(grey.row(2 * y), grey.row(2 * y + 1), to, width);
             continue;
         }
         for (std::int64_t x = 0; x < width; ++x) {
@@ -113,7 +123,8 @@ Grey QuadSearch::parted(const Grey& grey) {
 void QuadSearch::threshold(const Grey& grey, int window) {
     width_ = grey.width, height_ = grey.height;
     const std::int64_t half = window / 2;
-    dark_.assign((width_ + 2) * (height_ + 2), 0);
+    dark_.resize((width_ + 2) * (height_ + 2));
+    std::fill_n(dark_.begin(), width_ + 3, 0), std::fill_n(dark_.end() - width_ - 3, width_ + 3, 0);
     columns_.assign(width_ + 2 * half, 0);
     std::uint16_t* sums = columns_.data() + half;
     const auto row = [&](std::int64_t y) {
@@ -130,6 +141,7 @@ void QuadSearch::threshold(const Grey& grey, int window) {
             compare_5(grey.row(y), columns_.data(), dark(y), width_);
         else
             compare_11(grey.row(y), columns_.data(), dark(y), width_);
+        dark(y)[width_] = dark(y)[width_ + 1] = 0;  // right of this row, and left of the next
     }
 }
 
@@ -260,7 +272,8 @@ void QuadSearch::add_quad_of_outline() {
                 std::abs(along_x * (point.y - a.y) - along_y * (point.x - a.x));
             if (off > far) far = off, where = i;
         }
-        if (static_cast<double>(far) > most * std::hypot(along_x, along_y)) {
+        const double length = std::sqrt(static_cast<double>(along_x * along_x + along_y * along_y));
+        if (static_cast<double>(far) > most * length) {
             if (left + 2 > waiting.size()) return;
             waiting[left++] = {where, end};
             waiting[left++] = {begin, where};

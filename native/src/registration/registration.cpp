@@ -12,7 +12,7 @@ constexpr int ROUNDS = 6, ROUGH_ROUNDS = 2;
 // And more, for those corners alone, if few, that have not settled by then: boards curl.
 constexpr int LATE_ROUNDS = 4;
 constexpr std::size_t MOST_LATE = 8;
-// By how many corners a face is first brought near.
+// By how many corners a face is first brought near, and its blur learnt.
 constexpr std::size_t ROUGH_CORNERS = 16;
 // By how much a picture is softened where corners are off by more than its own blur, pixel².
 constexpr double SOFTENING = 1.6;
@@ -70,6 +70,15 @@ Points points_of(const CornerPattern& pattern, const std::vector<int>& ids) {
     for (std::size_t i = 0; i < ids.size(); ++i)
         points.row(static_cast<Eigen::Index>(i)) = pattern.points.row(ids[i]);
     return points;
+}
+
+// So many of `count`, from all over, the first and the last too.
+std::vector<std::size_t> spread(std::size_t count) {
+    std::vector<std::size_t> which(std::min(count, ROUGH_CORNERS));
+    for (std::size_t i = 0; i < which.size() && count > 1; ++i)
+        which[i] = static_cast<std::size_t>(
+            std::nearbyint(double(i) * double(count - 1) / double(which.size() - 1)));
+    return which;
 }
 
 std::vector<char> clear_of(const Alignment& found) {
@@ -131,11 +140,7 @@ PartOfPicture softened(const Grey& grey, const std::vector<Eigen::Vector2d>& pix
 bool approach(const Grey& grey, const CornerPattern& pattern, PlanarFit& fit,
               const std::vector<int>& all, const Blur& blur) {
     Corners corners;
-    const std::size_t count = std::min(all.size(), ROUGH_CORNERS);
-    for (std::size_t i = 0; i < count; ++i) {
-        const double at = count > 1 ? double(i) * double(all.size() - 1) / double(count - 1) : 0;
-        corners.ids.push_back(all[static_cast<std::size_t>(std::nearbyint(at))]);
-    }
+    for (const std::size_t i : spread(all.size())) corners.ids.push_back(all[i]);
     const Points points = points_of(pattern, corners.ids);
     for (const int id : corners.ids) corners.pixels.push_back(fit.project(pattern.points.row(id)));
     std::vector<std::uint8_t> memory;
@@ -146,7 +151,7 @@ bool approach(const Grey& grey, const CornerPattern& pattern, PlanarFit& fit,
         for (const auto& pixel : corners.pixels) corners.nearest.push_back(rounded(pixel));
         const Alignment found = aligned(soft, pattern, fit, corners, blur.softened(SOFTENING),
                                         LONGEST_ROUGH_STEP_PX, std::nullopt, true);
-        for (std::size_t i = 0; i < count; ++i)
+        for (std::size_t i = 0; i < corners.ids.size(); ++i)
             if (found.corners[i].is_clear) corners.pixels[i] += found.corners[i].step;
         refit(fit, points, corners.pixels, clear_of(found));
         if (found.usual_length() < NEAR_STEP_PX) return false;
@@ -219,16 +224,23 @@ Registration registered(const Grey& grey, const CornerPattern& pattern, const Pl
         face.corners.pixels.push_back(is_sane(pixel) ? pixel : Eigen::Vector2d(-1e3, -1e3));
         face.corners.nearest.push_back(rounded(face.corners.pixels.back()));
     }
+    // Where no picture before has shown its blur, most corners need no other round once that is
+    // known from a few.
+    const bool is_new = !starts.empty();
+    if (is_new && n > 2 * ROUGH_CORNERS)
+        face.blur = face.moved(spread(n), std::nullopt, is_far).blur;
     Alignment found = face.moved(every, std::nullopt, is_far);
     face.blur = found.blur;
     double usual = found.usual_length(), before = std::numeric_limits<double>::infinity();
     for (int round = 1; round < ROUNDS; ++round) {
         const bool is_vain = usual > STILL_STEP_PX && usual > LEAST_SHORTER * before;
-        if ((is_near(found) && !is_far) || is_vain || !found.has_clear()) break;
-        is_far = usual > FAR_STEP_PX;
         const std::vector<char> clear = clear_of(found);
-        if (usual > STILL_STEP_PX || std::count(clear.begin(), clear.end(), 0) > 0)
-            face.take_plane(clear);
+        const bool has_lost = std::count(clear.begin(), clear.end(), 0) > 0;
+        // Those of a new face that are lost are looked for once more, where the others say.
+        const bool is_done = is_near(found) && !is_far && !(is_new && round == 1 && has_lost);
+        if (is_done || is_vain || !found.has_clear()) break;
+        is_far = usual > FAR_STEP_PX;
+        if (usual > STILL_STEP_PX || has_lost) face.take_plane(clear);
         if (!std::all_of(face.corners.pixels.begin(), face.corners.pixels.end(), is_sane)) break;
         found = face.moved(every, std::nullopt, is_far);
         face.blur = found.blur;
