@@ -7,7 +7,7 @@ from msgspec.structs import replace
 
 from trigpoint.fusion.model.dataset import CameraMove, Lift
 from trigpoint.fusion.model.observations import Observation
-from trigpoint.fusion.model.problem import CameraState
+from trigpoint.fusion.model.problem import CameraState, true_times_ns
 from trigpoint.fusion.solver.filter import is_placed
 from trigpoint.geometry import Pose
 
@@ -144,13 +144,13 @@ class Outcome:
 
     def _state(self, camera: str, place: int, pose: Pose) -> CameraState:
         """A camera at this pose, with lens and clock by its most informative visit there."""
-        modes = [
-            self.best.visits[n].modes[self._mode_of(n)]
-            for n in self._seen(camera)
-            if self.chosen.place_of(n) == place
-        ]
-        telling = max(modes, key=lambda mode: float(np.linalg.slogdet(mode.information)[1]))
-        return replace(telling.camera, map_from_camera=pose)
+        here = [n for n in self._seen(camera) if self.chosen.place_of(n) == place]
+        return replace(self._telling(here), map_from_camera=pose)
+
+    def _telling(self, numbers: list[int]) -> CameraState:
+        """The camera by the most informative of some visits."""
+        modes = [self.best.visits[n].modes[self._mode_of(n)] for n in numbers]
+        return max(modes, key=lambda mode: float(np.linalg.slogdet(mode.information)[1])).camera
 
     def _seen(self, camera: str) -> list[int]:
         """The numbers of a camera's visits that are right, in order of time."""
@@ -237,17 +237,23 @@ class Outcome:
 
     def _lift(self, robot: str, gap: int) -> Lift:
         """The lift in a gap between two nodes: from the last picture before it to the first after
-        it."""
-        stamps = self.best.graph.paths[robot].stamps_ns
-        after = [
-            v.visit.until_ns
-            for n, v in enumerate(self.best.visits)
-            if v.visit.robot == robot and self.best.graph.node_of[n] <= gap
-        ]
-        before = int(stamps[gap + 1])
-        # A visit that goes on past the node after the gap does not tell when the lift was.
-        last = max([int(stamps[gap]), *(until for until in after if until < before)])
+        it, by the time at which each was taken."""
+        stamps, node_of = self.best.graph.paths[robot].stamps_ns, self.best.graph.node_of
+        mine = [n for n in self.chosen.places if self.best.visits[n].visit.robot == robot]
+        after = [self._taken_ns(n)[0] for n in mine if node_of[n] > gap]
+        before = min(after, default=int(stamps[gap + 1]))
+        ends = [ns for n in mine if node_of[n] <= gap for ns in self._taken_ns(n)]
+        # A visit that goes on past the lift does not tell when it was.
+        last = max((ns for ns in ends if ns < before), default=int(stamps[gap]))
         return Lift(robot, last, before)
+
+    def _taken_ns(self, number: int) -> tuple[int, int]:
+        """When the first and the last picture of a visit were taken, by its camera's clock."""
+        visit = self.best.visits[number].visit
+        stamps_ns = np.array([visit.stamp_ns, visit.until_ns])
+        camera = self._telling(self._seen(visit.camera))
+        first, last = true_times_ns(stamps_ns, camera.offset_s(self.data.since_epoch_s(stamps_ns)))
+        return int(first), int(last)
 
     def _moves(self) -> list[CameraMove]:
         found = []

@@ -75,12 +75,11 @@ class PictureReader:
         step, own = np.zeros((len(views), 6)), np.zeros((len(views), 6, 6))
         wild = [np.zeros(len(view.corners), dtype=bool) for view in views]
         in_sight = np.flatnonzero(np.isfinite(rms))
-        for group in groups_of([len(views[row].corners) for row in in_sight]):
-            rows = in_sight[group]
-            seen, chosen = [views[row] for row in rows], [readings[row] for row in rows]
-            step[rows], own[rows], flags = self._shown(seen, chosen, poses[rows])
-            for row, each in zip(rows, flags, strict=True):
-                wild[row] = each
+        if len(in_sight):
+            seen, chosen = [views[row] for row in in_sight], [readings[row] for row in in_sight]
+            step[in_sight], own[in_sight], flags = self._shown(seen, chosen, poses[in_sight])
+            for row, each in zip(in_sight.tolist(), flags, strict=True):
+                wild[row] = each[: len(wild[row])]
         is_right = np.zeros(len(views), dtype=bool)
         is_right[in_sight] = self._are_right(owner[in_sight], step[in_sight], own[in_sight], drift)
         right = [r if is_used else None for r, is_used in zip(readings, is_right, strict=True)]
@@ -93,10 +92,16 @@ class PictureReader:
     def _shown(
         self, views: Sequence[View], readings: Sequence[Reading], map_from_base: Pose
     ) -> tuple[Array, Array, np.ndarray]:
-        """The corrections (v, 6) of the robot's pose by views (v) with equally many corners (n),
-        read so, their covariances (v, 6, 6) by the corners, and the wild corners (v, n)."""
+        """The corrections (v, 6) of the robot's pose by views (v) of at most n corners, read so,
+        their covariances (v, 6, 6) by the corners, and the wild corners (v, n)."""
         by_base, residual = self._linearised(views, readings, map_from_base)
-        step, wild = all_without_wild(by_base, residual, self.events.wild_score)
+        step, wild = np.empty((len(views), 6)), np.zeros(by_base.shape[:2], dtype=bool)
+        widths = [len(view.corners) for view in views]
+        for rows in groups_of(widths):
+            part = rows, slice(widths[rows[0]])
+            step[rows], wild[part] = all_without_wild(
+                by_base[part], residual[part], self.events.wild_score
+            )
         flat = (by_base * ~wild[..., None, None]).reshape(len(views), -1, 6)
         information = np.swapaxes(flat, 1, 2) @ flat + np.diag(1 / self.events.room_variances)
         return step, np.linalg.pinv(information, hermitian=True) + _EXACT * np.eye(6), wild
@@ -140,14 +145,18 @@ class PictureReader:
         self, views: Sequence[View], readings: Sequence[Reading], map_from_base: Pose
     ) -> tuple[Array, Array]:
         """Derivatives (v, n, 2, 6) of the views' residuals by the robot's pose in the map, and the
-        residuals (v, n, 2), in sigmas."""
-        camera = self.camera
+        residuals (v, n, 2), in sigmas; both are 0 where a view has fewer corners."""
+        camera, widths = self.camera, np.array([len(view.corners) for view in views])
+        is_there = np.arange(widths.max()) < widths[:, None]
+        points, pixels = np.zeros((*is_there.shape, 3)), np.zeros((*is_there.shape, 2))
         chosen = zip(views, readings, strict=True)
-        points = np.stack([corners_in_base(*each, self.target, self.places) for each in chosen])
+        points[is_there] = np.concatenate(
+            [corners_in_base(*each, self.target, self.places) for each in chosen]
+        )
+        pixels[is_there] = np.concatenate([view.pixels for view in views])
         found = projected(camera.lens, map_from_base, points, camera.map_from_camera)
-        pixels = np.stack([view.pixels for view in views])
-        sigma = np.array([view.sigma for view in views])[:, None, None]
-        return found.by_body / sigma[..., None], (found.pixels - pixels) / sigma
+        weight = is_there[..., None] / np.array([view.sigma for view in views])[:, None, None]
+        return found.by_body * weight[..., None], (found.pixels - pixels) * weight
 
 
 def _surprise(error: Array, spread: Array) -> tuple[Array, Array]:

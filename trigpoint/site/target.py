@@ -138,10 +138,12 @@ class Face(Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def corners(self) -> Array:
-        """Corner positions in the face frame by id, (corner_count, 3), metres."""
-        if self.pattern is Pattern.APRILGRID:
-            return self._tag_corners()
-        return _grid(self.columns - 1, self.rows - 1, self.square)
+        """Corner positions in the face frame by id, (corner_count, 3), metres; read-only."""
+        if self.pattern is not Pattern.APRILGRID:
+            return _grid(self.columns - 1, self.rows - 1, self.square)
+        # Kalibr's rows go up; the face's frame, with y down, starts at the lowest row.
+        down = -1 if self.numbering is Numbering.KALIBR else 1
+        return _tag_corners(self.columns, self.rows, self.square, down, self.marker or 0.0)
 
     @property
     def has_corner_squares(self) -> bool:
@@ -157,15 +159,6 @@ class Face(Struct, frozen=True, forbid_unknown_fields=True):
         if self.pattern is not Pattern.APRILGRID:
             return False
         return self.numbering is Numbering.KALIBR if said is None else said
-
-    def _tag_corners(self) -> Array:
-        """Kalibr's rows go up; the face's frame, with y down, starts at the lowest row."""
-        x, y = np.meshgrid(np.arange(self.columns), np.arange(self.rows))
-        if self.numbering is Numbering.KALIBR:
-            y = -y
-        tags = np.stack([x, y, np.zeros_like(x)], axis=-1).reshape(-1, 1, 3) * self.square
-        around = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=float)
-        return (tags + around * (self.marker or 0.0)).reshape(-1, 3)
 
     @property
     def outline(self) -> Array:
@@ -227,6 +220,16 @@ def _grid(columns: int, rows: int, pitch: float) -> Array:
     it."""
     x, y = np.meshgrid(np.arange(columns), np.arange(rows))
     points = np.stack([x, y, np.zeros_like(x)], axis=-1).reshape(-1, 3) * pitch
+    points.flags.writeable = False
+    return points
+
+
+@cache
+def _tag_corners(columns: int, rows: int, pitch: float, down: int, side: float) -> Array:
+    """The four corners of each tag, (n, 3), shared as those of `_grid`."""
+    around = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=float) * side
+    tags = _grid(columns, rows, pitch)[:, None] * [1, down, 1]
+    points = (tags + around).reshape(-1, 3)
     points.flags.writeable = False
     return points
 
