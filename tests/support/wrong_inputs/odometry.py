@@ -154,6 +154,21 @@ def other_conventions(folder: Path, random: np.random.Generator) -> Case:
     return Case(calibrated(folder, change), (0, 1), (says,))
 
 
+def against_the_pictures(folder: Path, random: np.random.Generator) -> Case:
+    """Mirrored (NED), or one that never moves: the pictures alone contradict it."""
+    is_stuck = bool(random.integers(2))
+
+    def change(_number: int, odometry: Any) -> None:
+        place, turn = odometry.pose.pose.position, odometry.pose.pose.orientation
+        if is_stuck:
+            place.x, place.y, turn.z, turn.w = 0.0, 0.0, 0.0, 1.0
+        else:
+            place.y, turn.z = -place.y, -turn.z
+
+    says = "does not move while cameras see it" if is_stuck else "mirrored.*NED"
+    return Case(calibrated(folder, change), (0, 1), (says,), never=("put down elsewhere",))
+
+
 def other_units(folder: Path, random: np.random.Generator) -> Case:
     """Lengths in milli- or centimetres or inches, stamps whose seconds are others, or which lack
     the nanoseconds."""
@@ -182,4 +197,5 @@ ODOMETRY: Mapping[str, Kind] = {
     "a few poses that are none": a_few_unusable,
     "other axes or another order": other_conventions,
     "other units": other_units,
+    "odometry against the pictures": against_the_pictures,
 }
