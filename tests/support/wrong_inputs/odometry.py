@@ -125,11 +125,13 @@ def unusable_pose(folder: Path, random: np.random.Generator) -> Case:
 
 
 def a_few_unusable(folder: Path, random: np.random.Generator) -> Case:
-    """Some poses that are none among good ones: left out and counted."""
-    every = int(random.integers(20, 60))
+    """Some poses, or stamps, that are none among good ones: left out and counted."""
+    every, is_stamp = int(random.integers(20, 60)), bool(random.integers(2))
 
     def change(number: int, odometry: Any) -> None:
-        if number % every == 0:
+        if number % every == 0 and is_stamp:
+            odometry.header.stamp.nanosec += 10**9
+        elif number % every == 0:
             odometry.pose.pose.position.x = np.nan
 
     count = len(range(0, sum(kind == ODOM for kind, *_ in drive()), every))
