@@ -31,8 +31,8 @@ def main(
     loaded = load_site(site)
     targets = load_targets(loaded)
     names = list(dict.fromkeys(camera))
-    for name in names:
-        loaded.camera(name)  # a wrong name is told before anything is opened
+    # A wrong name, or one camera twice, is told before anything is opened.
+    loaded.check_one_machine(cameras=names)
     # The cameras of an agent share the cores by their own threads; OpenCV's would fight for them.
     cv2.setNumThreads(1)
     quieten_opencv()

@@ -13,8 +13,10 @@ from trigpoint.base.clock import to_ns
 from trigpoint.contract.messages import CameraInfo, Diagnostics, Message, Odometry, Sightings
 from trigpoint.contract.nudge import nudges_in
 
+from .association.other_odometry import mirrored
 from .camera_announcements import CameraAnnouncements
 from .estimating import estimating
+from .estimators.change_reports import CHANGES
 from .estimators.residuals import CameraResiduals
 from .estimators.results import Results, map_id_of
 from .fixed.network import FixedNetwork
@@ -102,7 +104,12 @@ class Pipeline:
     def notes(self) -> list[str]:
         """What a user should know of the session: each event (at most the last hundred), the last
         problem for each reason and sender, what messages lacked, and what is in doubt."""
-        events = [event.text for event in self._left_out.events]
+        is_explained = self.arrivals.odometry.explain_changes
+        events = [
+            event.text
+            for event in self._left_out.events
+            if not (is_explained and event.kind in CHANGES)
+        ]
         problems = [problem.text for problem in self.problems.values()]
         return [*events, *problems, *self.arrivals.notes]
 
@@ -350,6 +357,8 @@ class Pipeline:
         while self._intake.tell_by_place(self._estimator, is_end=True):
             self._use_rest()
             self._explain_all()
+        if not self._is_live:
+            self.arrivals.odometry.mirrored = mirrored(self._data)
         self._left_out.take_from(self._data)
         self._take_cameras(self._data.last_ns, is_urgent=True)
         self._outputs += self._cameras.rest()

@@ -6,16 +6,20 @@ from trigpoint.base.clock import NANOSECONDS
 from trigpoint.fusion.model.dataset import CameraMove, DataSet, Lift
 from trigpoint.fusion.model.problem import State
 
+_LIFTED, _MOVED = "robot_lifted", "camera_moved"
+CHANGES = frozenset({_LIFTED, _MOVED})
+"""The kinds of events that are reported."""
+
 
 def report_changes(data: DataSet, state: State) -> None:
     """Add an event for each change of the site."""
     for alike in data.changes:
         lifts = [event for event in alike if isinstance(event, Lift)]
         if lifts:
-            data.note("robot_lifted", _of_robot(data, lifts))
+            data.note(_LIFTED, _of_robot(data, lifts))
         for move in alike:
             if isinstance(move, CameraMove):
-                data.note("camera_moved", _of_camera(data, state, move))
+                data.note(_MOVED, _of_camera(data, state, move))
 
 
 def _of_robot(data: DataSet, lifts: list[Lift]) -> str:

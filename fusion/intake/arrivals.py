@@ -67,14 +67,15 @@ class Arrivals:
     """All messages of the site's cameras and robots. `tracks`: the robots' odometry; `seen`:
     camera -> when it saw a target; `unreadable`: camera -> what is wrong with all that it sent;
     `misdescribed`: camera -> what its pictures show in place of the target file's boards;
-    `unused`: camera -> why pictures of it were left out, as the pipeline says."""
+    `unused`: camera -> why pictures of it were left out, as the pipeline says; `odometry`: what is
+    odd about that."""
 
     def __init__(self, site: Site, tracks: Mapping[str, OdometryTrack]) -> None:
         self._tracks = tracks
         self._tolerance_ns = {
             name: to_ns(camera.most_time_offset_s) for name, camera in site.cameras.items()
         }
-        self._odometry = OdometryDoubts(site, tracks)
+        self.odometry = OdometryDoubts(site, tracks)
         self._mended = Counter[tuple[str, Mended]]()
         self.seen: dict[str, Span] = {}
         self.unreadable: dict[str, str] = {}
@@ -91,7 +92,7 @@ class Arrivals:
 
     def add_odometry(self, robot: str, readings: Readings, *, stale: int) -> None:
         """Note odometry of a robot of the site file, of which so many are no newer than before."""
-        self._odometry.add(robot, readings, stale=stale)
+        self.odometry.add(robot, readings, stale=stale)
 
     @property
     def notes(self) -> list[str]:
@@ -109,7 +110,7 @@ class Arrivals:
         """What came and cannot be right, as text."""
         wrong = self.misdescribed.items()
         described = [f"{name}: {words}" for name, words in wrong if name in self.seen]
-        return [*self._odometry.texts, *described]
+        return [*self.odometry.texts, *described]
 
     @property
     def apart(self) -> dict[str, str]:

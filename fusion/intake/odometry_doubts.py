@@ -10,6 +10,7 @@ import numpy as np
 from msgspec import Struct
 
 from trigpoint.base.clock import to_ns, to_seconds
+from trigpoint.fusion.model.motion import STILL
 from trigpoint.fusion.model.odometry import OdometryTrack
 from trigpoint.fusion.model.readings import Readings
 from trigpoint.geometry.samples import median
@@ -29,6 +30,11 @@ _MOST_SIDEWAYS = 0.3
 # Of an explanation: a robot is carried once or twice, and not every few minutes.
 _MOST_BREAKS, _CARRIED_NS = 2, to_ns(600.0)
 _CONVENTION = "x is forward and y left in metres, and headings turn to the left in radians"
+_MIRRORED = (
+    "what cameras saw fits its odometry only if that is mirrored, so that turns to the left are "
+    "told as turns to the right: is its y axis to the right, or its z downwards (NED, FRD)? "
+    f"{_CONVENTION} (REP 103)"
+)
 
 
 class _Came(Struct):
@@ -41,11 +47,13 @@ class _Came(Struct):
 
 
 class OdometryDoubts:
-    """What is odd about robots' odometry, by `tracks` and by what `add` was told of."""
+    """What is odd about robots' odometry, by `tracks` and by what `add` was told of. `mirrored`:
+    the robots that were seen to drive as if theirs were."""
 
     def __init__(self, site: Site, tracks: Mapping[str, OdometryTrack]) -> None:
         self._site, self._tracks = site, tracks
         self._came: dict[str, _Came] = {}
+        self.mirrored: list[str] = []
 
     def add(self, robot: str, readings: Readings, *, stale: int) -> None:
         """Note messages of a robot, of which so many are `stale`: no newer than one before."""
@@ -62,8 +70,16 @@ class OdometryDoubts:
             f"robot {robot}: {words}"
             for robot, came in self._came.items()
             if robot in self._tracks and came.count >= _LEAST
-            for words in (*self._in_messages(robot, came), *_in_track(self._tracks[robot]))
+            for words in (*self._in_messages(robot, came), *self._in_track(robot))
         ]
+
+    @property
+    def explain_changes(self) -> bool:
+        """Whether odometry is such that no robot need have been carried, nor a camera moved."""
+        return bool(self.mirrored) or any(map(_is_stuck, self._tracks.values()))
+
+    def _in_track(self, robot: str) -> Iterator[str]:
+        return iter([_MIRRORED]) if robot in self.mirrored else _in_track(self._tracks[robot])
 
     def _in_messages(self, robot: str, came: _Came) -> Iterator[str]:
         count, of_all = came.count, f"of {came.count} odometry messages"
@@ -102,6 +118,12 @@ def _in_track(track: OdometryTrack) -> Iterator[str]:
             f"or the unit or sign of its heading, are wrong: {_CONVENTION} (a robot that can drive "
             "so has odometry.lateral no smaller than odometry.distance in the site file)"
         )
+    if _is_stuck(track):
+        yield (
+            "its odometry does not move while cameras see it drive; are its encoders connected, "
+            "and is `topic` the right one?"
+        )
+        return
     most = max(_MOST_BREAKS, (track.last_ns - track.first_ns) // _CARRIED_NS) if len(track) else 0
     if (breaks := track.break_count) > most:
         yield (
@@ -109,3 +131,9 @@ def _in_track(track: OdometryTrack) -> Iterator[str]:
             f"nobody did, its odometry is wrong ({_CONVENTION}), or its target file (the faces' "
             "places and sizes)"
         )
+
+
+def _is_stuck(track: OdometryTrack) -> bool:
+    """Whether odometry never moves although the robot was seen to, at two times or more."""
+    poses = track.odom_from_base.rows()
+    return track.break_count >= _MOST_BREAKS and bool(np.ptp(poses, axis=0).max() < STILL)

@@ -244,15 +244,18 @@ class OdometryTrack:
     def scaled(self, scales: Array) -> "OdometryTrack":
         """A read-only copy of the odometry so far, corrected for these scale errors (2,) of
         distance and heading."""
-        track = copy.copy(self)
-        track._twists = self._twists * both(1 + scales)
-        path = composed(moved(track._twists[1 : self._count])) if self._count else Pose.identity()
-        poses = self.odom_from_base[:1] @ path
-        track._rotations, track._translations = self._rotations.copy(), self._translations.copy()
-        track._rotations[: self._count] = poses.rotation
-        track._translations[: self._count] = poses.translation
+        track = self.retold(np.diag(both(1 + scales)))
         distance, heading = ((1 + np.array(self.scales)) * (1 + scales) - 1).tolist()
         track.scales = distance, heading
+        return track
+
+    def retold(self, by_twist: Array) -> "OdometryTrack":
+        """A read-only copy of the odometry so far with each step's twist mapped by (6, 6)."""
+        track = copy.copy(self)
+        track._twists = self._twists @ by_twist.T
+        path = composed(moved(track._twists[1 : self._count])) if self._count else Pose.identity()
+        poses = self.odom_from_base[:1] @ path
+        track._rotations, track._translations = poses.rotation, poses.translation
         return track
 
     def mend(self) -> None:

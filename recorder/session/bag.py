@@ -16,6 +16,7 @@ from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_
 
 from trigpoint.base.errors import MessageError, RecordingError
 from trigpoint.contract.cdr_codecs import CODECS
+from trigpoint.contract.cdr_ros import stamp_of
 from trigpoint.contract.messages import (
     CAMERA_INFO,
     ODOMETRY,
@@ -156,9 +157,8 @@ def _decoder(part: McapIndex, number: int) -> Callable[[bytes], Any]:
 
 def _message(type_name: str, found: Any) -> Message | RawImage:
     if type_name == RAW_IMAGE:
-        stamp_ns = found.header.stamp.sec * 10**9 + found.header.stamp.nanosec
         return RawImage(
-            stamp_ns,
+            stamp_of(found.header),
             found.encoding,
             bool(found.is_bigendian),
             found.width,

@@ -82,7 +82,9 @@ def _real_site(file: Path, cameras: list[str]) -> Site | None:
 
 
 def _selected(site: Site, cameras: list[str], robots: list[str], without: list[str]) -> Selection:
-    return selected(site, Choice.of(site, cameras, robots, without))
+    found = selected(site, Choice.of(site, cameras, robots, without))
+    site.check_one_machine(cameras=found.cameras, robots=found.robots)
+    return found
 
 
 def parts_of(site: Site, file: Path, selection: Selection) -> list[PartSpec]:

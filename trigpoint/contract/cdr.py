@@ -13,7 +13,7 @@ from trigpoint.contract import cdr_layout
 from trigpoint.geometry import CameraModel, Pose
 
 from .cdr_codecs import CODECS
-from .cdr_ros import Builder, full_definition, store
+from .cdr_ros import Builder, full_definition, stamp_of, store
 from .cdr_writing import quickly_written
 from .messages import (
     CAMERA_INFO,
@@ -103,6 +103,10 @@ def fault_in(type_name: str, payload: bytes) -> str:
         if quickly is not None and quickly(payload) is not None:
             return ""
         found: Any = store().deserialize_cdr(payload, type_name)
+        if hasattr(found, "header"):
+            stamp_of(found.header)
+    except MessageError as reason:
+        return f"cannot be used: {reason}"
     except Exception:  # noqa: BLE001 - rosbags raises whatever the bytes lead it to
         return "cannot be decoded"
     if type_name == RAW_IMAGE:

@@ -12,6 +12,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from trigpoint.base.clock import NANOSECONDS
 from trigpoint.base.errors import MessageError
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.camera import LensModel
@@ -69,7 +70,7 @@ _MOST_REPORT_BYTES = 1 << 20
 def odometry(payload: bytes) -> Odometry | None:
     """The message, or None if it is not valid."""
     try:
-        seconds, nanoseconds = STAMP.unpack_from(payload, _START)
+        stamp_ns = _stamp(payload)
         names = payload[_START + STAMP.size : len(payload) - ODOMETRY.size]
         if len(names) > _MOST_NAMES_BYTES:
             return None
@@ -84,7 +85,7 @@ def odometry(payload: bytes) -> Odometry | None:
         return None
     twist = np.array(values[7:])
     return Odometry(
-        seconds * 1_000_000_000 + nanoseconds,
+        stamp_ns,
         frame_id,
         child_frame_id,
         Pose(of_quaternion(*quaternion), np.array((x, y, z))),
@@ -129,7 +130,9 @@ def _run(
     quaternions = pose[:, 3:]
     if np.abs(np.linalg.norm(quaternions, axis=1) - 1).max() > UNIT_TOLERANCE:
         return None
-    stamps_ns = rows["seconds"].astype(np.int64) * 1_000_000_000 + rows["nanoseconds"]
+    if rows["nanoseconds"].max() >= NANOSECONDS:
+        return None
+    stamps_ns = rows["seconds"].astype(np.int64) * NANOSECONDS + rows["nanoseconds"]
     return stamps_ns, Pose(of_quaternions(quaternions), pose[:, :3].copy()), rows["others"]
 
 
@@ -331,9 +334,16 @@ def _is_whole(payload: bytes, end: int) -> bool:
 def _header(payload: bytes) -> tuple[int, str, int]:
     """A message's stamp and frame, and the position after them, a multiple of four; ValueError or
     struct.error if they are none."""
-    seconds, nanoseconds = STAMP.unpack_from(payload, _START)
     frame_id, position = _string(payload, _START + STAMP.size)
-    return seconds * 1_000_000_000 + nanoseconds, frame_id, _aligned(position, 4)
+    return _stamp(payload), frame_id, _aligned(position, 4)
+
+
+def _stamp(payload: bytes) -> int:
+    """A message's stamp; ValueError or struct.error if it is none."""
+    seconds, part = STAMP.unpack_from(payload, _START)
+    if part >= NANOSECONDS:
+        raise ValueError("a stamp's nanosec is a second or more")
+    return seconds * NANOSECONDS + part
 
 
 def _string(payload: bytes, position: int) -> tuple[str, int]:

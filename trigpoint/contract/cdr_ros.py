@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from trigpoint.base.clock import NANOSECONDS
 from trigpoint.base.errors import MessageError
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
@@ -63,7 +64,7 @@ class Builder:
     def header(self, stamp_ns: int, frame_id: str) -> Any:
         if stamp_ns < 0:
             raise MessageError(f"a stamp of {stamp_ns} ns lies before 1970; check the clock")
-        seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
+        seconds, nanoseconds = divmod(stamp_ns, NANOSECONDS)
         time = self("builtin_interfaces/Time", sec=seconds, nanosec=nanoseconds)
         return self("std_msgs/Header", stamp=time, frame_id=frame_id)
 
@@ -88,8 +89,12 @@ class Builder:
 
 
 def stamp_of(header: Any) -> int:
-    """A header's stamp, nanoseconds."""
-    return header.stamp.sec * 1_000_000_000 + header.stamp.nanosec
+    """A header's stamp, nanoseconds; raise MessageError if its nanosec is a second or more: what
+    was meant is not known."""
+    seconds, part = header.stamp.sec, header.stamp.nanosec
+    if part >= NANOSECONDS:
+        raise MessageError(f"a stamp's nanosec is {part}, which is a second or more")
+    return seconds * NANOSECONDS + part
 
 
 def finite(values: Any, what: str) -> Array:

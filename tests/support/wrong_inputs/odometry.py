@@ -125,11 +125,13 @@ def unusable_pose(folder: Path, random: np.random.Generator) -> Case:
 
 
 def a_few_unusable(folder: Path, random: np.random.Generator) -> Case:
-    """Some poses that are none among good ones: left out and counted."""
-    every = int(random.integers(20, 60))
+    """Some poses, or stamps, that are none among good ones: left out and counted."""
+    every, is_stamp = int(random.integers(20, 60)), bool(random.integers(2))
 
     def change(number: int, odometry: Any) -> None:
-        if number % every == 0:
+        if number % every == 0 and is_stamp:
+            odometry.header.stamp.nanosec += 10**9
+        elif number % every == 0:
             odometry.pose.pose.position.x = np.nan
 
     count = len(range(0, sum(kind == ODOM for kind, *_ in drive()), every))
@@ -152,6 +154,21 @@ def other_conventions(folder: Path, random: np.random.Generator) -> Case:
 
     says = ("x, y, z, w", "axes", "heading")[kind]
     return Case(calibrated(folder, change), (0, 1), (says,))
+
+
+def against_the_pictures(folder: Path, random: np.random.Generator) -> Case:
+    """Mirrored (NED), or one that never moves: the pictures alone contradict it."""
+    is_stuck = bool(random.integers(2))
+
+    def change(_number: int, odometry: Any) -> None:
+        place, turn = odometry.pose.pose.position, odometry.pose.pose.orientation
+        if is_stuck:
+            place.x, place.y, turn.z, turn.w = 0.0, 0.0, 0.0, 1.0
+        else:
+            place.y, turn.z = -place.y, -turn.z
+
+    says = "does not move while cameras see it" if is_stuck else "mirrored.*NED"
+    return Case(calibrated(folder, change), (0, 1), (says,), never=("put down elsewhere",))
 
 
 def other_units(folder: Path, random: np.random.Generator) -> Case:
@@ -182,4 +199,5 @@ ODOMETRY: Mapping[str, Kind] = {
     "a few poses that are none": a_few_unusable,
     "other axes or another order": other_conventions,
     "other units": other_units,
+    "odometry against the pictures": against_the_pictures,
 }

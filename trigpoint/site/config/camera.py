@@ -68,6 +68,11 @@ class CameraConfig(Struct, frozen=True, forbid_unknown_fields=True):
         return f"/dev/video{place}" if self.scheme == "v4l2" and place.isdigit() else place
 
     @property
+    def place(self) -> str:
+        """Its source, which no two cameras have: a device by its path, without options."""
+        return (self.file if self.scheme == "v4l2" else None) or self.source
+
+    @property
     def most_time_offset_s(self) -> float:
         """How far its stamps may be off, as its time offset's sigma says; estimated that far."""
         return OFFSET_SIGMAS * self.time_offset_sigma

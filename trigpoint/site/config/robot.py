@@ -109,6 +109,11 @@ class RobotConfig(Struct, frozen=True, forbid_unknown_fields=True):
             raise ValueError("`topic` is for a robot on the bus; take it or `port` away")
 
     @property
+    def place(self) -> str:
+        """The port that no other robot may have; "" for none, and for one that leads nowhere."""
+        return "" if self.port is None or self.port.startswith("loop://") else self.port
+
+    @property
     def protocol_name(self) -> str:
         """The robot's protocol; without a port, the default one is replaced by ROS 2 on the bus."""
         is_on_bus = self.port is None and self.protocol == "trigpoint"

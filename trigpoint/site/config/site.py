@@ -1,6 +1,6 @@
 """site.toml: one frozen configuration for a whole site; each node reads its own part."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Literal, TypeVar
 
@@ -22,6 +22,9 @@ from .robot import OdometryNoise, RobotConfig
 _Item = TypeVar("_Item")
 Server = Literal["fusion", "recorder"]
 """What a site may need beside its cameras' agents and its robots' bridges."""
+
+# What may stand for any camera: where a session is recorded, nothing is opened.
+_STANDING_IN = ("sim", "dir", "file")
 
 
 class SiteFile(Struct, frozen=True, forbid_unknown_fields=True):
@@ -51,6 +54,11 @@ class SiteFile(Struct, frozen=True, forbid_unknown_fields=True):
         for name, robot in self.robots.items():
             if robot.target is None and self.target is None:
                 raise ValueError(f'robot «{name}» has no target; write target = "target.toml"')
+        joins = self.bus.joins_machines
+        _check_apart("camera", "source", _places(self.cameras, joins_machines=joins))
+        _check_apart("robot", "port", _places(self.robots, joins_machines=joins))
+        topics = {name: robot.topic for name, robot in self.robots.items() if robot.topic}
+        _check_apart("robot", "topic", topics)
         for name, point in (self.map.points if self.map else {}).items():
             self._check_point(name, point)
 
@@ -67,6 +75,36 @@ class SiteFile(Struct, frozen=True, forbid_unknown_fields=True):
             )
         if point.robot is not None and name in self.cameras:
             raise ValueError(f"map.points.{name} is a camera; a mark needs another name")
+
+
+def _places(
+    items: Mapping[str, CameraConfig] | Mapping[str, RobotConfig], *, joins_machines: bool
+) -> dict[str, str]:
+    """By name, the device that no other may have: with several machines, each of which has devices
+    of its own, only one on the network. A recording may stand for any camera."""
+    devices = {name: item.place for name, item in items.items() if _is_device(item.place)}
+    if not joins_machines:
+        return devices
+    return {name: place for name, place in devices.items() if not _is_on_machine(place)}
+
+
+def _is_device(place: str) -> bool:
+    scheme, separator, _ = place.partition("://")
+    return bool(place) and not (separator and scheme in _STANDING_IN)
+
+
+def _is_on_machine(place: str) -> bool:
+    _, separator, rest = place.partition("://")
+    return not separator or rest.startswith(("localhost", "127.", "[::1]"))
+
+
+def _check_apart(kind: str, key: str, places: Mapping[str, str]) -> None:
+    """Refuse two of a kind that are at one and the same place, by name."""
+    first: dict[str, str] = {}
+    for name, place in places.items():
+        other = first.setdefault(place, name)
+        if other != name:
+            raise ValueError(f"{kind}s {other} and {name} have the same `{key}`; give each its own")
 
 
 class Site(Struct, frozen=True):
@@ -94,6 +132,15 @@ class Site(Struct, frozen=True):
     def robot(self, name: str) -> RobotConfig:
         """A robot by name; raise a ConfigError that lists the known ones."""
         return _pick(self.robots, name, "robot")
+
+    def check_one_machine(self, *, cameras: Iterable[str], robots: Iterable[str] = ()) -> None:
+        """Raise ConfigError if two of these, which run on one machine, are one and the same."""
+        try:
+            _check_apart("camera", "source", {name: self.camera(name).place for name in cameras})
+            ports = {name: self.robot(name).place for name in robots}
+            _check_apart("robot", "port", {name: port for name, port in ports.items() if port})
+        except ValueError as reason:
+            raise ConfigError(f"the site file: {reason}") from None
 
     def bearable_clock_offset_s(self, camera: str) -> float:
         """How far a camera's clock may be from fusion's: as far as every robot's odometry bears,

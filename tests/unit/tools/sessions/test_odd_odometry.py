@@ -60,6 +60,32 @@ def test_odometry_in_millimetres_is_asked_for_its_unit(
     assert re.search(r"r1: \d+ of \d+ odometry messages .*are its lengths in metres", said.err)
 
 
+def mirrored(_number: int, message: Any) -> None:
+    message.pose.pose.position.y *= -1
+    message.pose.pose.orientation.z *= -1
+
+
+def stuck(_number: int, message: Any) -> None:
+    place, turn = message.pose.pose.position, message.pose.pose.orientation
+    place.x, place.y, turn.x, turn.y, turn.z, turn.w = 0.0, 0.0, 0.0, 0.0, 0.0, 1.0
+
+
+@pytest.mark.parametrize(
+    ("change", "words", "status"),
+    [
+        (mirrored, "only if that is mirrored.*NED", 0),
+        (stuck, "does not move while cameras see it drive", 1),
+    ],
+)
+def test_odometry_that_pictures_contradict_is_said_in_place_of_what_then_seems_to_have_happened(
+    recorded: Path, tmp_path: Path, cli: Cli, change: Change, words: str, status: int
+) -> None:
+    said = calibrated(cli, recorded, tmp_path, change, status=status)
+    assert re.search(rf"robot r1: .*{words}", said.err)
+    assert "put down elsewhere" not in said.err
+    assert "was moved" not in said.err
+
+
 @pytest.mark.parametrize(
     ("kind", "change", "remedy"),
     [

@@ -10,7 +10,15 @@ from support.messages import messages as drawn_messages
 
 from trigpoint.base.errors import MessageError
 from trigpoint.contract import messages
-from trigpoint.contract.cdr import decode, definition, encode, type_hash, type_name, warm_up
+from trigpoint.contract.cdr import (
+    decode,
+    definition,
+    encode,
+    fault_in,
+    type_hash,
+    type_name,
+    warm_up,
+)
 from trigpoint.contract.messages import (
     Diagnostics,
     DiagnosticStatus,
@@ -147,6 +155,20 @@ def test_orientation_that_is_no_rotation_is_refused() -> None:
 def test_stamp_before_1970_is_refused() -> None:
     with pytest.raises(MessageError, match="before 1970"):
         encode(PoseStamped(-1, "map", Pose.identity()))
+
+
+@settings(max_examples=100)
+@given(drawn_messages, st.integers(10**9, 2**32 - 1))
+def test_a_stamp_whose_nanosec_is_a_second_or_more_is_refused_and_named(
+    message: Message, part: int
+) -> None:
+    name, payload = type_name(message), bytearray(encode(message))
+    if name == messages.TRANSFORMS:
+        return  # each has a stamp of its own
+    payload[8:12] = part.to_bytes(4, "little")
+    with pytest.raises(MessageError, match=f"nanosec is {part}, which is a second or more"):
+        decode(name, bytes(payload))
+    assert "nanosec" in fault_in(name, bytes(payload))
 
 
 def test_our_own_definitions_keep_their_comments_and_their_hash() -> None:

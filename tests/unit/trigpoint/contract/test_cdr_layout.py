@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 from support.messages import (
     assert_equal,
     covariances,
@@ -177,3 +178,14 @@ def test_run_with_a_message_that_is_not_sound_is_left_to_each(
     is_sound = all(is_read(ODOMETRY, bytes(each)) for each in payloads)
     read = cdr_layout.odometry_run([bytes(each) for each in payloads])
     assert read is None or is_sound
+
+
+@given(st.lists(odometry, min_size=2, max_size=4), st.integers(10**9, 2**32 - 1), st.data())
+def test_a_run_with_a_stamp_that_is_none_is_left_to_each(
+    several: list[Odometry], part: int, data: st.DataObject
+) -> None:
+    alike = [replace(each, frame_id="o", child_frame_id="b") for each in several]
+    assert cdr_layout.odometry_run([encode(each) for each in alike]) is not None
+    payloads = [bytearray(encode(each)) for each in alike]
+    payloads[data.draw(st.integers(0, len(payloads) - 1))][8:12] = part.to_bytes(4, "little")
+    assert cdr_layout.odometry_run([bytes(each) for each in payloads]) is None
