@@ -15,6 +15,7 @@ from trigpoint.edge.registration.measurement import Measured
 from trigpoint.geometry.rotation import Array
 from trigpoint.site.target import Pattern
 
+from .board_ends import ends_early
 from .marked_board import MarkedBoard
 from .markers import MarkerReader
 
@@ -48,8 +49,10 @@ class Contradictions(Struct, frozen=True):
 def contradictions(
     grey: np.ndarray, board: MarkedBoard, found: Measured, quads: Array, reader: MarkerReader
 ) -> Contradictions:
-    """What dark quadrilaterals (n, 4, 2) on a board's grid say about its description; `reader`:
-    of every marker of its dictionary."""
+    """What dark quadrilaterals (n, 4, 2) on a board's grid say about its description, and where it
+    ends; `reader`: of every marker of its dictionary."""
+    if board.face.pattern is Pattern.CHARUCO and ends_early(grey, board.face, found):
+        return Contradictions(0, 1, 0)
     cells, expected, within = _cells(board)
     corners = board.pattern.points[found.corners]
     middles = cells.mean(axis=1)

@@ -28,6 +28,11 @@ class PrintedPattern(Struct, frozen=True, eq=False):
     offset: Array
 
 
+def squares_are_light(face: Face, column: np.ndarray, row: np.ndarray) -> np.ndarray:
+    """Whether the squares of a ChArUco board in these columns and rows (n,) are light, (n,)."""
+    return (column + row + (face.legacy and face.rows % 2 == 0)) % 2 == 1
+
+
 @cache
 def charuco_layout(face: Face) -> Array:
     """The markers' corners in the face frame by number, (m, 4, 2), metres; not to be written to.
@@ -36,7 +41,7 @@ def charuco_layout(face: Face) -> Array:
     board with an even number of rows began with one (legacy).
     """
     y, x = np.indices((face.rows, face.columns)).reshape(2, -1)
-    is_light = (x + y + (face.legacy and face.rows % 2 == 0)) % 2 == 1
+    is_light = squares_are_light(face, x, y)
     marker = face.marker or 0.0
     # Corner 0 is a square away from the board's own corner.
     first = np.stack([x, y], axis=-1)[is_light] * face.square - (face.square + marker) / 2

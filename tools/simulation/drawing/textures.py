@@ -74,4 +74,6 @@ def charuco_board(face: Face) -> cv2.aruco.CharucoBoard:
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, str(face.dictionary)))
     ids = np.arange(face.first_marker, face.first_marker + face.marker_count, dtype=np.int32)
     size, marker = (face.columns, face.rows), float(face.marker or 0.0)
-    return cv2.aruco.CharucoBoard(size, face.square, marker, dictionary, ids)
+    board = cv2.aruco.CharucoBoard(size, face.square, marker, dictionary, ids)
+    board.setLegacyPattern(face.legacy)
+    return board

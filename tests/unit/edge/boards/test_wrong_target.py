@@ -218,6 +218,26 @@ def test_board_that_drives_in_is_dropped_when_the_part_that_disagrees_comes_into
     assert "write legacy = true" in line
 
 
+@pytest.mark.parametrize("legacy", [True, False])
+def test_part_of_a_board_is_not_taken_for_one_of_the_other_layout(*, legacy: bool) -> None:
+    """Its last column, the only one whose markers differ, is out of the picture: of the other
+    layout it is one that ends a column early."""
+    face = charuco(5, 4, legacy=legacy)
+    right, wrong = (detector_for([target_of(each)]) for each in (face, _other_layout(face)))
+    seen = 0
+    for x in np.linspace(0.18, 0.26, 9):
+        for distance, tilt in ((0.45, 0.0), (0.5, 25.0), (0.6, -30.0)):
+            view = placed(face, distance=distance, x=float(x) * distance / 0.45, tilt_deg=tilt)
+            picture = picture_of([view], noise=2.0)
+            seen += len(right.detect(picture))
+            assert wrong.detect(picture) == ()
+    assert seen > 20
+
+
+def _other_layout(face: Face) -> Face:
+    return replace(face, legacy=not face.legacy)
+
+
 def test_followed_board_that_is_contradicted_now_and_then_is_found_again() -> None:
     face = charuco(7, 5)
     tracker = TargetTracker([target_of(face)])
