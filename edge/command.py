@@ -31,7 +31,7 @@ def main(
     loaded = load_site(site)
     targets = load_targets(loaded)
     names = list(dict.fromkeys(camera))
-    # A wrong name, or one camera twice, is told before anything is opened.
+    # A wrong name, or two names for one device, is told before anything is opened.
     loaded.check_one_machine(cameras=names)
     # The cameras of an agent share the cores by their own threads; OpenCV's would fight for them.
     cv2.setNumThreads(1)

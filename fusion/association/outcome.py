@@ -245,7 +245,7 @@ class Outcome:
         ends = [ns for n in mine if node_of[n] <= gap for ns in self._taken_ns(n)]
         # A visit that goes on past the lift does not tell when it was.
         last = max((ns for ns in ends if ns < before), default=int(stamps[gap]))
-        return Lift(robot, last, before)
+        return Lift(robot, min(last, before), before)
 
     def _taken_ns(self, number: int) -> tuple[int, int]:
         """When the first and the last picture of a visit were taken, by its camera's clock."""

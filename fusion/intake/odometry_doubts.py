@@ -33,7 +33,7 @@ _CONVENTION = "x is forward and y left in metres, and headings turn to the left 
 _MIRRORED = (
     "what cameras saw fits its odometry only if that is mirrored, so that turns to the left are "
     "told as turns to the right: is its y axis to the right, or its z downwards (NED, FRD)? "
-    f"{_CONVENTION} (REP 103)"
+    f"{_CONVENTION} (REP 103); or has its target file left and right exchanged?"
 )
 
 
@@ -75,8 +75,12 @@ class OdometryDoubts:
 
     @property
     def explain_changes(self) -> bool:
-        """Whether odometry is such that no robot need have been carried, nor a camera moved."""
-        return bool(self.mirrored) or any(map(_is_stuck, self._tracks.values()))
+        """Whether every robot's odometry is such that none need have been carried, nor a camera
+        moved."""
+        tracks = {robot: track for robot, track in self._tracks.items() if len(track)}
+        return bool(tracks) and all(
+            robot in self.mirrored or _is_stuck(track) for robot, track in tracks.items()
+        )
 
     def _in_track(self, robot: str) -> Iterator[str]:
         return iter([_MIRRORED]) if robot in self.mirrored else _in_track(self._tracks[robot])
@@ -120,8 +124,8 @@ def _in_track(track: OdometryTrack) -> Iterator[str]:
         )
     if _is_stuck(track):
         yield (
-            "its odometry does not move while cameras see it drive; are its encoders connected, "
-            "and is `topic` the right one?"
+            "its odometry does not move while cameras see it in several places: if nobody carried "
+            "it, are its encoders connected, and is `topic` the right one?"
         )
         return
     most = max(_MOST_BREAKS, (track.last_ns - track.first_ns) // _CARRIED_NS) if len(track) else 0

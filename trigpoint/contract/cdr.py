@@ -103,8 +103,9 @@ def fault_in(type_name: str, payload: bytes) -> str:
         if quickly is not None and quickly(payload) is not None:
             return ""
         found: Any = store().deserialize_cdr(payload, type_name)
-        if hasattr(found, "header"):
-            stamp_of(found.header)
+        for part in (found, *getattr(found, "transforms", ())):
+            if hasattr(part, "header"):
+                stamp_of(part.header)
     except MessageError as reason:
         return f"cannot be used: {reason}"
     except Exception:  # noqa: BLE001 - rosbags raises whatever the bytes lead it to

@@ -178,6 +178,10 @@ void PictureEquations::set(const Picture& picture, const double* variances, doub
         whole_.col(size - 1).head<6>() += pull;
         square(columns, columns) += deviation_.dot(pull);
         const Eigen::LLT<Matrix6d> root(whole_.topLeftCorner<6, 6>());
+        if (root.info() != Eigen::Success) {  // refused as a step that is not finite
+            cost = std::numeric_limits<double>::quiet_NaN();
+            return;
+        }
         const ByUnknowns across = root.matrixL().solve(whole_.topRightCorner(6, columns + 1));
         square -= across.transpose().lazyProduct(across);
         log_determinant =

@@ -126,8 +126,8 @@ public:
 
     // Marks the wild corners, and the sightings that are likelier wrong, or right, than taken;
     // whether any is marked otherwise than before. Where the state `is_robust`, minimising the
-    // robust cost, only the worst sighting is sure to be wrong, and none that wild corners still
-    // pull at: what nearly alone determines an unknown looks far off for a small pull.
+    // robust cost, only the worst sighting is sure to be wrong, and not a lone one that wild
+    // corners still pull at: what alone determines an unknown looks far off for a small pull.
     bool judge(const Problem& problem, const Linearised& linearised, bool is_robust) {
         System system;
         if (!system.set(linearised)) return false;
@@ -138,10 +138,11 @@ public:
         double most = 0;
         std::vector<Index> order;
         for (Index v = 0; v < views_.count(); ++v)
-            if (!wrong[v] && !(is_robust && has_wild(v))) {
+            if (!wrong[v]) {
                 order.push_back(v);
                 most = std::max(most, excess[at(v)]);
             }
+        if (is_robust && order.size() == 1 && has_wild(order[0])) return is_other;
         std::stable_sort(order.begin(), order.end(), [&](Index a, Index b) {
             return excess[at(a)] != excess[at(b)] ? excess[at(a)] > excess[at(b)] : a > b;
         });

@@ -62,11 +62,6 @@ class BusConfig(Struct, frozen=True, forbid_unknown_fields=True):
                 raise ValueError(f"«{endpoint}» has no port that others can be told; write one")
 
     @property
-    def joins_machines(self) -> bool:
-        """Whether parts of the site may run on other machines than this one."""
-        return bool(self.connect or self.listen or self.scouting)
-
-    @property
     def open_doors(self) -> tuple[str, ...]:
         """The settings that give anyone on the network a session without a certificate."""
         if self.tls is not None:

@@ -23,8 +23,8 @@ _Item = TypeVar("_Item")
 Server = Literal["fusion", "recorder"]
 """What a site may need beside its cameras' agents and its robots' bridges."""
 
-# What may stand for any camera: where a session is recorded, nothing is opened.
-_STANDING_IN = ("sim", "dir", "file")
+# What only one camera can be behind; folders, videos and plug-ins may be opened twice.
+_DEVICES = ("v4l2", "rtsp")
 
 
 class SiteFile(Struct, frozen=True, forbid_unknown_fields=True):
@@ -54,9 +54,6 @@ class SiteFile(Struct, frozen=True, forbid_unknown_fields=True):
         for name, robot in self.robots.items():
             if robot.target is None and self.target is None:
                 raise ValueError(f'robot «{name}» has no target; write target = "target.toml"')
-        joins = self.bus.joins_machines
-        _check_apart("camera", "source", _places(self.cameras, joins_machines=joins))
-        _check_apart("robot", "port", _places(self.robots, joins_machines=joins))
         topics = {name: robot.topic for name, robot in self.robots.items() if robot.topic}
         _check_apart("robot", "topic", topics)
         for name, point in (self.map.points if self.map else {}).items():
@@ -75,27 +72,6 @@ class SiteFile(Struct, frozen=True, forbid_unknown_fields=True):
             )
         if point.robot is not None and name in self.cameras:
             raise ValueError(f"map.points.{name} is a camera; a mark needs another name")
-
-
-def _places(
-    items: Mapping[str, CameraConfig] | Mapping[str, RobotConfig], *, joins_machines: bool
-) -> dict[str, str]:
-    """By name, the device that no other may have: with several machines, each of which has devices
-    of its own, only one on the network. A recording may stand for any camera."""
-    devices = {name: item.place for name, item in items.items() if _is_device(item.place)}
-    if not joins_machines:
-        return devices
-    return {name: place for name, place in devices.items() if not _is_on_machine(place)}
-
-
-def _is_device(place: str) -> bool:
-    scheme, separator, _ = place.partition("://")
-    return bool(place) and not (separator and scheme in _STANDING_IN)
-
-
-def _is_on_machine(place: str) -> bool:
-    _, separator, rest = place.partition("://")
-    return not separator or rest.startswith(("localhost", "127.", "[::1]"))
 
 
 def _check_apart(kind: str, key: str, places: Mapping[str, str]) -> None:
@@ -134,13 +110,20 @@ class Site(Struct, frozen=True):
         return _pick(self.robots, name, "robot")
 
     def check_one_machine(self, *, cameras: Iterable[str], robots: Iterable[str] = ()) -> None:
-        """Raise ConfigError if two of these, which run on one machine, are one and the same."""
+        """Raise ConfigError if two of these, which are to run on one machine, have one device."""
+        sources = {name: self.camera(name) for name in cameras}
+        ports = {name: self.robot(name).place for name in robots}
         try:
-            _check_apart("camera", "source", {name: self.camera(name).place for name in cameras})
-            ports = {name: self.robot(name).place for name in robots}
+            _check_apart(
+                "camera",
+                "source",
+                {name: one.place for name, one in sources.items() if one.scheme in _DEVICES},
+            )
             _check_apart("robot", "port", {name: port for name, port in ports.items() if port})
         except ValueError as reason:
-            raise ConfigError(f"the site file: {reason}") from None
+            raise ConfigError(
+                f"the site file: {reason}, or start only what is on this machine"
+            ) from None
 
     def bearable_clock_offset_s(self, camera: str) -> float:
         """How far a camera's clock may be from fusion's: as far as every robot's odometry bears,

@@ -18,12 +18,14 @@ from support.fusion.drives import (
 from trigpoint.fusion.association.engine import explain
 from trigpoint.fusion.association.events import Events
 from trigpoint.fusion.association.explanation import CameraFinding
+from trigpoint.fusion.association.mode import VisitModes
 from trigpoint.fusion.association.modes import ModeFinder
 from trigpoint.fusion.association.visits import visits_of
 from trigpoint.fusion.model.dataset import DataSet, Entry
 from trigpoint.fusion.model.observations import Reading, View
 from trigpoint.fusion.reading.best_readings import readings_rms_px
 from trigpoint.geometry import Pose
+from trigpoint.geometry.rotation import Array
 from trigpoint.site.config import OdometryNoise
 from trigpoint.site.target import Face, Pattern, Target
 from trigpoint.testing.views import looking_at
@@ -140,29 +142,55 @@ def test_a_few_wild_pictures_do_not_move_the_camera() -> None:
     assert error(found_in(data))[:3].max() < 0.03
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_single_picture_of_an_unknown_lens_is_right_beside_its_wild_corners(seed: int) -> None:
-    """A picture that nearly alone tells the lens looks far off for what its wild corners pull."""
+def seen_by_unknown_lens(seed: int, pictures: int, wild_in: int) -> tuple[DataSet, list[Array]]:
+    """Pictures of one face by a camera whose lens is estimated, three corners of the first ones
+    off by 57 px, and which corners of each these are."""
     random = np.random.default_rng(seed)
     robot = RobotPlan(circle(), target_of("charuco"))
-    plan = Plan({"c1": CameraPlan(EYE, more='intrinsics = "estimate"')}, {"r1": robot}, seconds=4.0)
-    data = frontal(observed(make_session(plan)))
-    (entry,) = data.entries
-    (view,) = entry.observation.views
-    wild = np.zeros(len(view.corners), dtype=bool)
-    wild[random.choice(len(wild), 3, replace=False)] = True
-    away = np.where(wild[:, None], random.choice((-40.0, 40.0), (len(wild), 2)), 0.0)
-    seen = replace(
-        entry.observation, views=(replace(view, pixels=view.pixels + away),), chosen=None
-    )
-    data.entries[0] = Entry(seen, entry.map_from_base)
-    finder = ModeFinder(data, [seen], Events())
-    (visit,) = visits_of(data, [seen])
-    found = finder.modes_of(visit)
+    camera = CameraPlan(EYE, more='intrinsics = "estimate"')
+    data = observed(make_session(Plan({"c1": camera}, {"r1": robot}, seconds=4.0)))
+    seen = [entry for entry in data.entries if entry.observation.views]
+    data.entries = seen[:pictures] if pictures > 1 else frontal(data).entries
+    wilds = []
+    for number, entry in enumerate(data.entries):
+        view = max(entry.observation.views, key=width)
+        wild = np.zeros(len(view.corners), dtype=bool)
+        if number < wild_in:
+            wild[random.choice(len(wild), 3, replace=False)] = True
+        away = np.where(wild[:, None], random.choice((-40.0, 40.0), (len(wild), 2)), 0.0)
+        views = (replace(view, pixels=view.pixels + away),)
+        entry.observation = replace(entry.observation, views=views, chosen=None)
+        wilds.append(wild)
+    return data, wilds
+
+
+def modes_of(data: DataSet) -> VisitModes:
+    seen = [entry.observation for entry in data.entries]
+    (visit,) = visits_of(data, seen)
+    return ModeFinder(data, seen, Events()).modes_of(visit)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_single_picture_of_an_unknown_lens_is_right_beside_its_wild_corners(seed: int) -> None:
+    """What alone tells the lens looks far off for what its wild corners pull."""
+    data, (wild,) = seen_by_unknown_lens(seed, 1, 1)
+    found = modes_of(data)
     assert found.modes
     for mode in found.modes:
         assert mode.wrong == 0
         np.testing.assert_array_equal(mode.wild[0][0], wild)
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("displaced_px", [15.0, 60.0])
+def test_displaced_picture_with_wild_corners_is_wrong(seed: int, displaced_px: float) -> None:
+    data, _ = seen_by_unknown_lens(seed, 3, 1)
+    first = data.entries[0].observation
+    (view,) = first.views
+    moved = replace(view, pixels=view.pixels + np.array([0.0, displaced_px]))
+    data.entries[0].observation = replace(first, views=(moved,))
+    best = modes_of(data).modes[0]
+    assert [best.readings[n][0] is None for n in range(3)] == [True, False, False]
 
 
 def test_located_camera_is_never_mirrored() -> None:

@@ -74,7 +74,7 @@ def stuck(_number: int, message: Any) -> None:
     ("change", "words", "status"),
     [
         (mirrored, "only if that is mirrored.*NED", 0),
-        (stuck, "does not move while cameras see it drive", 1),
+        (stuck, "does not move while cameras see it in several places", 1),
     ],
 )
 def test_odometry_that_pictures_contradict_is_said_in_place_of_what_then_seems_to_have_happened(

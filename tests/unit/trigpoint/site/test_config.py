@@ -83,15 +83,18 @@ def test_bad_site_is_refused_with_one_line(text: str, expected: str) -> None:
     assert expected in refusal(text)
 
 
-_JOINED = '[bus]\nconnect = ["tls/h:1"]\n[bus.tls]\n'
-
-
 def two_of(kind: str, key: str, one: str, other: str) -> str:
     """A site with two cameras, or robots, more."""
     rest = "" if kind == "cameras" else 'target = "t.toml"\n'
     return "\n".join(
         f'[{kind}.x{number}]\n{rest}{key} = "{place}"' for number, place in enumerate((one, other))
     )
+
+
+def started(kind: str, key: str, one: str, other: str) -> None:
+    """Both of them on one machine."""
+    site = parse_site(site_text(more=two_of(kind, key, one, other)), directory=Path())
+    site.check_one_machine(**{"cameras": (), kind: ("x0", "x1")})
 
 
 @pytest.mark.parametrize(
@@ -101,44 +104,35 @@ def two_of(kind: str, key: str, one: str, other: str) -> str:
         ("cameras", "source", "rtsp://me:secret@10.0.0.7/1", "rtsp://me:secret@10.0.0.7/1"),
         ("robots", "port", "/dev/ttyUSB0", "/dev/ttyUSB0"),
         ("robots", "port", "socket://10.0.0.9:23", "socket://10.0.0.9:23"),
-        ("robots", "topic", "/odom", "/odom"),
     ],
 )
-def test_one_device_for_two_is_refused(kind: str, key: str, one: str, other: str) -> None:
-    text = site_text(more=two_of(kind, key, one, other))
-    said = f"site.toml: {kind[:-1]}s x0 and x1 have the same `{key}`; give each its own"
-    assert refusal(text) == said
-    is_known_everywhere = not any(place in one for place in ("/dev", "v4l2"))
-    if is_known_everywhere:
-        assert refusal(f"{text}\n{_JOINED}") == said
-    else:
-        parse_site(f"{text}\n{_JOINED}", directory=Path())  # each machine has one
+def test_one_device_for_two_is_refused_where_both_run(
+    kind: str, key: str, one: str, other: str
+) -> None:
+    said = f"{kind[:-1]}s x0 and x1 have the same `{key}`; give each its own, or start only"
+    with pytest.raises(ConfigError, match=said):
+        started(kind, key, one, other)
 
 
 @pytest.mark.parametrize(
     ("kind", "key", "one", "other"),
     [
         ("cameras", "source", "dir://none", "dir://none"),
+        ("cameras", "source", "file:///v.mp4", "file:///v.mp4"),
+        ("cameras", "source", "sim://c1", "sim://c1"),
+        ("cameras", "source", "noise://0", "noise://0"),
         ("cameras", "source", "rtsp://10.0.0.7/1", "rtsp://10.0.0.7/2"),
         ("cameras", "source", "v4l2:///dev/video0", "v4l2:///dev/video2"),
         ("robots", "port", "loop://", "loop://"),
     ],
 )
-def test_what_stands_for_any_camera_or_robot_may_be_shared(
-    kind: str, key: str, one: str, other: str
-) -> None:
-    parse_site(site_text(more=two_of(kind, key, one, other)), directory=Path())
+def test_what_can_be_opened_twice_may_be_shared(kind: str, key: str, one: str, other: str) -> None:
+    started(kind, key, one, other)
 
 
-def test_one_device_for_two_on_one_machine_is_refused_where_both_run() -> None:
-    devices = two_of("cameras", "source", "v4l2://0", "v4l2:///dev/video0")
-    ports = two_of("robots", "port", "/dev/tty0", "/dev/tty0").replace(".x", ".y")
-    site = parse_site(site_text(more=f"{devices}\n{ports}\n{_JOINED}"), directory=Path())
-    site.check_one_machine(cameras=["x0"], robots=["y1"])
-    with pytest.raises(ConfigError, match="cameras x0 and x1 have the same `source`"):
-        site.check_one_machine(cameras=["x0", "x1"])
-    with pytest.raises(ConfigError, match="robots y0 and y1 have the same `port`"):
-        site.check_one_machine(cameras=[], robots=["y0", "y1"])
+def test_two_robots_with_one_topic_are_refused() -> None:
+    said = "site.toml: robots x0 and x1 have the same `topic`; give each its own"
+    assert refusal(site_text(more=two_of("robots", "topic", "/odom", "/odom"))) == said
 
 
 def test_absent_camera_and_robot_list_the_known_ones() -> None:
