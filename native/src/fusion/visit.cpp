@@ -254,9 +254,10 @@ private:
     }
 
     static Pictured pictured(const Picture& picture) {
-        Eigen::MatrixXd rows;
-        picture.terms(picture.seen, picture.has_lens, rows);
-        return {rows.leftCols<6>(), picture.jacobian(picture.seen, rows), rows.rightCols<1>()};
+        const Index rows = 2 * picture.corners;
+        Pictured seen{ByPoses(rows, 6), RowMajor(rows, picture.columns()), Eigen::VectorXd(rows)};
+        picture.terms(picture.seen, seen.residual, seen.jacobian, seen.by_base);
+        return seen;
     }
 
     // Where a view's corners begin in their picture, which begins at `first` of all.

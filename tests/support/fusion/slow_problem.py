@@ -9,7 +9,6 @@ from support.fusion.picture_jitter import PictureJitter
 
 from trigpoint.fusion.model.motion import Motion
 from trigpoint.fusion.model.prediction import (
-    base_jacobian,
     batch_jacobian,
     batch_residual,
     odometry_terms,
@@ -93,9 +92,10 @@ def picture_of(batch: Batch, picture: int) -> Batch:
 
 def _add_picture(slow: Slow, problem: Problem, batch: Batch, state: State, huber: float) -> None:
     jacobian, residual, columns = batch_jacobian(problem, batch, state)
-    jacobian, left, jitter = jacobian[0], residual[0], None
-    if batch.jitter is not None:
-        jacobian, residual, jitter = about_best_fit(problem, batch, state)
+    jacobian, left = jacobian[0], residual[0]
+    jitter = PictureJitter.of(batch, state)
+    if jitter is not None:
+        residual = about_best_fit(batch, state, jitter)
         left = jitter.compensated(residual.reshape(1, -1)).reshape(-1, 2)
     length = np.linalg.norm(left, axis=-1)
     weight = np.minimum(1.0, huber / np.maximum(length, 1e-12))
@@ -115,45 +115,18 @@ def _add_picture(slow: Slow, problem: Problem, batch: Batch, state: State, huber
     slow.add(np.concatenate([nodes, dense_row(problem) + columns]), rows, residual)
 
 
-def about_best_fit(
-    problem: Problem, batch: Batch, state: State
-) -> tuple[Array, Array, PictureJitter]:
-    """Jacobian (K, 2, q) and residual (2K,) of one picture about the deviation that fits best, and
-    the jitter there."""
-    before = PictureJitter.of(batch, state)
-    assert before is not None
-    assert batch.jitter is not None
-    residual = batch_residual(batch, state).reshape(-1)
-    fit = -np.linalg.solve(before.information[0], before.jacobian[0].T @ residual)
-    robot = state.robots[batch.robot]
-    node = robot.map_from_base[batch.nodes]
-    seen = node
+def about_best_fit(batch: Batch, state: State, jitter: PictureJitter) -> Array:
+    """The residual (2K,) of one picture, linearised about the deviation that fits best."""
+    by_seen, residual = jitter.jacobian[0], batch_residual(batch, state).reshape(-1)
+    fit = -np.linalg.solve(jitter.information[0], by_seen.T @ residual)
+    robot, camera = state.robots[batch.robot], state.cameras[batch.camera]
+    seen = robot.map_from_base[batch.nodes]
     if batch.carried is not None:
-        offset_s = state.cameras[batch.camera].offset_s(batch.since_epoch_s)
-        seen = node @ batch.carried.at(offset_s)
-    there = seen.disturbed(fit)
-    moved = State(state.cameras, state.robots | {batch.robot: replace(robot, map_from_base=there)})
+        seen = seen @ batch.carried.at(camera.offset_s(batch.since_epoch_s))
+    there = replace(robot, map_from_base=seen.disturbed(fit))
+    state = State(state.cameras, state.robots | {batch.robot: there})
     about = replace(batch, nodes=np.zeros(1, dtype=int), carried=None)
-    by_seen = base_jacobian(about, moved)[0]
-    jacobian, residual, _ = batch_jacobian(problem, about, moved)
-    tangent = problem.chains[batch.robot].tangent
-    by_node = np.eye(6)
-    by_node[:3, 3:] = -so3.hat(seen.translation[0] - node.translation[0])
-    by_node[3:, 3:] = there.rotation[0] @ seen.rotation[0].T
-    lens = len(problem.layout.lens.get(batch.camera, ()))
-    d, ahead = len(tangent), len(tangent) + 6 + lens
-    parts = [by_seen @ by_node[:, tangent], jacobian[0][..., d:ahead]]
-    if batch.carried is not None:
-        speed, turning = np.split(batch.carried.twists[0], 2)
-        by_time = np.concatenate([seen.rotation[0] @ speed, there.rotation[0] @ turning])
-        clock = -np.outer(by_time, [1.0, batch.since_epoch_s[0]])
-        parts.append(by_seen @ clock)
-    parts.append(jacobian[0][..., ahead:])
-    by_deviation = np.eye(6)
-    by_deviation[3:, 3:] = so3.left_jacobian(fit[3:])
-    by_seen = (by_seen @ by_deviation).reshape(1, -1, 6)
-    left = residual.reshape(-1) - by_seen[0] @ fit
-    return np.concatenate(parts, axis=-1), left, PictureJitter.by(by_seen, batch.jitter)
+    return batch_residual(about, state).reshape(-1) - by_seen @ fit
 
 
 def _add_odometry(slow: Slow, problem: Problem, name: str, robot: RobotState) -> None:
