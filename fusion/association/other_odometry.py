@@ -20,7 +20,8 @@ from .noise import PESSIMISTIC
 from .visits import visits_of
 from .world import World
 
-# Of the budget for the session's length, and how many of its visits, those with the most pictures.
+# For each explanation: of the budget for the session's length, and how many of the visits, those
+# with the most pictures.
 _SHARE, _MOST_VISITS = 0.1, 12
 # Each of the two explanations may be off by as much as decides.
 _CLEAR = 2 * window()
@@ -39,12 +40,14 @@ def mirrored(data: DataSet) -> list[str]:
         return []
     every = [_fresh(data, each) for each in every]
     every.sort(key=lambda observation: observation.stamp_ns)
-    draft, memory = data.draft(), Memory(Budget.of(data.tracks.values(), share=_SHARE))
-    told, found = _score(draft, every, memory), list[str]()
+    draft, memory = data.draft(), Memory()
+    told = _score(draft, every, memory)
+    if not np.isfinite(told):
+        return []
+    found = list[str]()
     for robot in dict.fromkeys(observation.robot for observation in every):
         tracks = draft.tracks | {robot: draft.tracks[robot].retold(_MIRROR)}
-        score = _score(replace(draft, tracks=tracks), every, memory)
-        if score + _CLEAR < told and not memory.budget.is_spent:
+        if _score(replace(draft, tracks=tracks), every, memory) + _CLEAR < told:
             found.append(robot)
     return found
 
@@ -56,11 +59,12 @@ def _fresh(data: DataSet, seen: Observation) -> Observation:
 
 
 def _score(data: DataSet, observations: list[Observation], memory: Memory) -> float:
-    """The score of what explains observations best; `memory`: of which only what holds for any
-    odometry is used."""
+    """The score of what explains observations best, inf where the budget does not suffice;
+    `memory`: of which only what holds for any odometry is used."""
     events = Events(data.site.fusion.priors)
     visits = sorted(visits_of(data, observations), key=lambda visit: -len(visit.indices))
     noise = SessionNoise(dict.fromkeys(data.site.robots, PESSIMISTIC))
-    own = Memory(memory.budget, memory.alone)
+    own = Memory(Budget.of(data.tracks.values(), share=_SHARE), memory.alone)
     visits = visits[:_MOST_VISITS]
-    return World(data, observations, events, noise, own, visits, is_draft=True).score
+    world = World(data, observations, events, noise, own, visits, is_draft=True)
+    return np.inf if own.budget.is_spent else world.score

@@ -139,5 +139,6 @@ def _in_track(track: OdometryTrack) -> Iterator[str]:
 
 def _is_stuck(track: OdometryTrack) -> bool:
     """Whether odometry never moves although the robot was seen to, at two times or more."""
-    poses = track.odom_from_base.rows()
-    return track.break_count >= _MOST_BREAKS and bool(np.ptp(poses, axis=0).max() < STILL)
+    if track.break_count < _MOST_BREAKS:
+        return False
+    return bool(np.ptp(track.odom_from_base.rows(), axis=0).max() < STILL)

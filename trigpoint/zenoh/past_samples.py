@@ -149,13 +149,13 @@ class History:
                 question.timer.start()
                 return
             del self._questions[sender]
-            self._pass(sender, question.held, self._expected(sender, question.held))
+            self._pass(sender, question.held, self._expected(sender, question))
 
-    def _expected(self, sender: Sender, held: dict[int, zenoh.Sample]) -> int:
+    def _expected(self, sender: Sender, question: _Question) -> int:
         """The number that comes next; of a new sender the first that it must still keep, or, where
-        some may have made room, the first that came."""
-        from_start = 0 if max(held) < self._depth else min(held)
-        return self._next.get(sender, from_start)
+        some may have made room, by the latest that came or by its answers, the first that came."""
+        made_room = max(question.held) >= self._depth or question.fruitless >= _MOST_FRUITLESS
+        return self._next.get(sender, min(question.held) if made_room else 0)
 
     def _pass(self, sender: Sender, samples: dict[int, zenoh.Sample], expected: int) -> None:
         """Hand samples on in order, without those that were; the caller holds the lock."""

@@ -157,6 +157,21 @@ def test_what_its_sender_no_longer_keeps_is_counted(
     assert 106 - KEPT - 5 <= listener.missed <= 106 - KEPT
 
 
+def test_what_made_room_before_a_new_sender_answers_is_not_lost(
+    sessions: tuple[zenoh.Session, zenoh.Session],
+) -> None:
+    """The first sample to come is one of those on their way while somebody comes."""
+    publisher = sender(sessions[0])
+    first = str(KEPT - 1)
+    listener = Listener(sessions[1], lost={str(n) for n in range(KEPT + 2)} - {first}, unheard=1)
+    assert eventually(lambda: meets(sessions[0]))
+    for number in range(KEPT + 2):
+        publisher.put(str(number))
+    assert eventually(lambda: listener.came[-1:] == [first])
+    assert listener.came == [str(number) for number in range(2, KEPT)]
+    assert listener.missed == 0
+
+
 @pytest.mark.parametrize("first", [0, 1])
 def test_what_nobody_answers_for_is_counted(
     sessions: tuple[zenoh.Session, zenoh.Session], first: int, monkeypatch: pytest.MonkeyPatch
