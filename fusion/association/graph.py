@@ -123,13 +123,25 @@ class Modes(Struct, frozen=True):
     evidence: Array
 
 
+Shown = dict[tuple[object, ...], VisualStep | None]
+"""Steps as visits show them, by what that depends on."""
+
+
 class Graph:
     """What the pose graphs of all explanations of one session's visits are made of; `minimum`
     solves them. `modes`: of each visit; `odometry` (n, 12): all robots' nodes by odometry alone;
     `known_rows` (n, 12), `known_information` (n, 6, 6): of each camera that is known from before,
-    by itself."""
+    by itself; `shown`: steps as visits show them, by `keys` of what their modes depend on; those
+    known before are not worked out again."""
 
-    def __init__(self, data: DataSet, visits: list[VisitModes], events: Events) -> None:
+    def __init__(
+        self,
+        data: DataSet,
+        visits: list[VisitModes],
+        events: Events,
+        keys: Sequence[object] = (),
+        shown: Shown | None = None,
+    ) -> None:
         self.data, self.visits, self.events = data, visits, events
         self.paths = {
             robot: RobotPath(
@@ -152,7 +164,8 @@ class Graph:
         self.known_information = np.linalg.inv(marginals)
         self._across: dict[Break, list[VisualStep]] = {}
         self._clocks = [_clock(data, v) for v in visits]
-        self._visual = self._visual_steps()
+        self.shown: Shown = {}
+        self._visual = self._visual_steps(keys or range(len(visits)), shown or {})
         self._showing = {
             each.number
             for steps in self._visual.values()
@@ -167,7 +180,9 @@ class Graph:
             if len((prior := own_prior(data, camera))[0])
         }
 
-    def _visual_steps(self) -> dict[str, dict[int, list[VisualStep]]]:
+    def _visual_steps(
+        self, keys: Sequence[object], before: Shown
+    ) -> dict[str, dict[int, list[VisualStep]]]:
         """Return, by robot and step, its motion as visits show it, the most precise first."""
         found: dict[str, dict[int, list[VisualStep]]] = {robot: {} for robot in self.paths}
         for number, visit in enumerate(self.visits):
@@ -177,7 +192,13 @@ class Graph:
             path = self.paths[robot]
             last = int(np.searchsorted(path.stamps_ns, max(stamps, default=0)))
             for step in range(self.node_of[number], min(last, len(path.stamps_ns) - 1)):
-                one = visual_step(path, step, number, visit, self._on_the_way(step, number))
+                pictures = self._on_the_way(step, number)
+                key = number, keys[number], *path.stamps_ns[step : step + 2].tolist(), *pictures
+                if key in before:
+                    one = before[key]
+                else:
+                    one = visual_step(path, step, number, visit, pictures)
+                self.shown[key] = one
                 if one is not None:
                     found[robot].setdefault(step, []).append(one)
         for steps in found.values():

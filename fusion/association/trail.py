@@ -6,7 +6,7 @@ last one kept after those that have not changed, and one that takes a visit to b
 was kept before that visit.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from msgspec import Struct
@@ -31,14 +31,20 @@ class _Stage(Struct, frozen=True):
 
 
 class Trail:
-    """What a search kept after each of its visits, of which `keys` say what their modes depend
-    on. Not thread-safe."""
+    """What a search kept after each of its visits, of which `keys` say what their modes depend on,
+    and what they have `shown` of steps; and in the end its `best`, by which the cameras `verified`
+    can be nowhere else. Not thread-safe."""
 
     def __init__(self, graph: Graph, keys: Sequence[object]) -> None:
-        self.keys = keys
+        self.keys, self.shown = keys, graph.shown
         self._stamps_ns = {robot: path.stamps_ns for robot, path in graph.paths.items()}
         self._stages: dict[int, _Stage] = {}
         self._least: dict[int, float] = {}
+        self.best, self.verified = Hypothesis(), frozenset[str]()
+
+    def conclude(self, best: Hypothesis, verified: Iterable[str]) -> None:
+        """Note what a search came to after all of its visits."""
+        self.best, self.verified = replace(best, placed=None), frozenset(verified)
 
     def note(self, count: int, hypotheses: list[Hypothesis]) -> None:
         """Note what is kept after the first `count` visits, best first."""

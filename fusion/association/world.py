@@ -58,13 +58,14 @@ class World:
         else:
             found = [finder.modes_of(visit) for visit in parts]
         self.visits = sorted(found, key=lambda part: (part.visit.stamp_ns, part.visit.camera))
-        self.graph = Graph(data, self.visits, events)
+        keys = [(finder.key(v.visit), *data.told, *data.known.poses) for v in self.visits]
+        self._known = max(memory.trails, key=lambda trail: trail.same(keys), default=None)
+        shown = self._known.shown if self._known is not None else {}
+        self.graph = Graph(data, self.visits, events, keys, shown)
         self.budget = memory.budget
         self.search = Search(self.graph, events, self.budget, is_draft=is_draft)
-        keys = [(finder.key(v.visit), *data.told, *data.known.poses) for v in self.visits]
-        known = max(memory.trails, key=lambda trail: trail.same(keys), default=None)
         self.trail = Trail(self.graph, keys)
-        self.hypotheses = self._searched(known)
+        self.hypotheses = self._searched(self._known)
         self.undecided = self._cameras() if self.search.is_given_up else set()
 
     @property
@@ -85,15 +86,30 @@ class World:
 
     def _settled_cameras(self) -> set[str]:
         """The cameras that the past knows and that all their visits tie to where it does, in the
-        best explanation. Where else these could be was asked when the past was made of what they
-        saw; that they were moved since then, the search asks at each of their visits."""
-        past, ties = self.data.past, self.hypotheses[0].ties
+        best explanation; and those that the search before this one verified, where all that came
+        since is as its best explanation has it. Where else these could be was asked then; that
+        they were moved since, or a robot was lifted, this search asks at each visit."""
+        past, best = self.data.past, self.hypotheses[0]
         settled = set(past.known.poses) if past is not None else set[str]()
-        return settled - {
+        settled -= {
             v.visit.camera
             for number, v in enumerate(self.visits)
-            if number not in ties or ties[number].place
+            if number not in best.ties or best.ties[number].place
         }
+        return settled | (self._known.verified if self._known and self._goes_on(best) else set())
+
+    def _goes_on(self, best: Hypothesis) -> bool:
+        """Whether the best explanation only adds visits to that of the search before this one, and
+        nothing happened at any of these."""
+        assert self._known is not None
+        before = self._known.best
+        return (
+            self._known.same(self.trail.keys) == len(self._known.keys)
+            and (best.nothing, best.breaks) == (before.nothing, before.breaks)
+            and all(best.ties.get(n) == tie for n, tie in before.ties.items())
+            and all(best.place_of(n) == place for n, place in before.open.items())
+            and self.search.happened(best) == self.search.happened(before)
+        )
 
     def _searched(self, known: Trail | None, *, wrong: int | None = None) -> list[Hypothesis]:
         """Search the explanations of all visits, from where the search that left the trail `known`
@@ -137,8 +153,9 @@ class World:
         """For each camera of the best explanation that is not settled, search everything else that
         its visits may be: too much, and it is undecided. If the budget does not suffice, all
         cameras not verified yet are undecided, those with only one visit included."""
-        best = self.hypotheses[0]
-        verified = self._settled_cameras()
+        best, near = self.hypotheses[0], self.hypotheses[0].score + _COUNTS
+        likeliest, verified = _signature(best), self._settled_cameras()
+        settled = set(verified)
         cameras = dict.fromkeys(v.visit.camera for v in self.visits)
         for camera in [name for name in cameras if name not in verified]:
             mine = [n for n, v in enumerate(self.visits) if v.visit.camera == camera]
@@ -151,11 +168,15 @@ class World:
             found = self.search.explained([rest], mine)
             if self.search.is_cut:
                 self.undecided.add(camera)
+            elif all(_signature(h) == likeliest for h in found if h.score <= near):
+                settled.add(camera)
             if self.budget.is_spent:
                 self.undecided |= cameras.keys() - verified
                 break
             verified.add(camera)
             self._add(found)
+        if self.hypotheses[0] is best and not self.search.is_draft:
+            self.trail.conclude(best, settled)
 
     def _without(self, hypothesis: Hypothesis, numbers: set[int]) -> Hypothesis | None:
         """The explanation of all visits but these; None where that is not determined."""

@@ -20,6 +20,7 @@ from trigpoint.base.errors import OperationError
 from trigpoint.fusion.estimators.interface import CameraEstimate, Live, Update
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.estimators.smoother.current_filter import CurrentFilter
+from trigpoint.fusion.estimators.smoother.settled_past import LIVE
 from trigpoint.fusion.model.dataset import CameraMove, DataSet, Entry, Event
 from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.model.odometry import Added
@@ -40,8 +41,11 @@ from .solver_messages import (
     TakeOdometry,
 )
 
-# Without anything new for this long, what came is settled.
-_QUIET_NS = to_ns(2.0)
+# Without anything new for this long, what came is settled; what the filter could use, and is less
+# than this share of what a solution keeps, only after so much longer: a robot that drives past
+# cameras that are known would have all of it solved anew behind each of them.
+_QUIET_NS, _LONG_QUIET_NS = to_ns(2.0), to_ns(20.0)
+_LITTLE = 0.05
 # An observation that comes later than this after its moment is passed on after later ones.
 _MOST_HELD_S = 2.0
 # How many sightings a new filter is brought on by in a turn in which none came.
@@ -82,7 +86,7 @@ class Follower(Live):
         self._located: tuple[str, ...] = ()
         self._came, self._came_before = 0, 0
         self._reported: Reported | None = None
-        self._new_ns, self._is_settled = 0, True
+        self._new_ns, self._is_settled, self._is_open = 0, True, False
         self._has_new_camera = False
 
     # -- input ------------------------------------------------------------------------------------
@@ -104,6 +108,7 @@ class Follower(Live):
         self._came += 1
         if observation.is_repeat:
             return Update(correction=correction)
+        self._is_open |= correction is None
         self._recent.append(_Recent(observation))
         if self._coming is not None:
             self._coming.missing.append(observation)
@@ -228,10 +233,17 @@ class Follower(Live):
         if is_new:
             self._new_ns, self._is_settled = now_ns, False
         is_idle = not self._asked or self.is_answered
-        if self._is_settled or not is_idle or now_ns - self._new_ns <= _QUIET_NS:
+        quiet_ns = _LONG_QUIET_NS if self._is_little else _QUIET_NS
+        if self._is_settled or not is_idle or now_ns - self._new_ns <= quiet_ns:
             return False
-        self._is_settled = True
+        self._is_settled, self._is_open = True, False
         return True
+
+    @property
+    def _is_little(self) -> bool:
+        """Whether what came since the last solution hardly changes it."""
+        known = min(self.solution.count, LIVE.sightings) if self.solution is not None else 0
+        return not self._is_open and len(self._recent) < _LITTLE * known
 
     def camera_moved(self, move: CameraMove) -> None:
         if self.data.tell(move):

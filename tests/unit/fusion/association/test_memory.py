@@ -76,6 +76,21 @@ def test_cameras_that_the_past_knows_are_not_asked_for_again(
     assert all(finding.is_located for finding in of_settled.findings.values())
 
 
+def test_a_visit_as_expected_asks_no_camera_anew() -> None:
+    data, observations = data_of(Shape(0, (0, 1, 0, 1, 0, 1, 0, 1), is_alike=False))
+    works = []
+    for is_verified in (True, False):
+        memory = Memory()
+        spent(data, observations[:-1], memory)
+        for trail in memory.trails:
+            assert trail.verified == {"c1", "c2"}
+            trail.verified &= frozenset({"c1", "c2"} if is_verified else ())
+        found, work = spent(data, observations, memory)
+        assert all(finding.is_located for finding in found.findings.values())
+        works.append(work)
+    assert works[0] < 0.7 * works[1]
+
+
 @pytest.mark.parametrize(
     "shape",
     [

@@ -6,6 +6,8 @@ from support.fusion.solvers import Listed
 
 from trigpoint.base.clock import to_ns
 from trigpoint.fusion.live.follower import Follower
+from trigpoint.fusion.live.solver_messages import Solved
+from trigpoint.fusion.solver.filter import Filter
 
 
 @pytest.fixture
@@ -34,3 +36,16 @@ def test_a_busy_solver_is_not_asked(follower: Follower, monkeypatch: pytest.Monk
 
 def test_nothing_is_settled_before_anything_came(follower: Follower) -> None:
     assert not is_due(follower, 60.0)
+
+
+def test_what_hardly_changes_a_solution_is_settled_after_longer(follower: Follower) -> None:
+    """A robot that drives past known cameras pauses behind each of them."""
+    data = follower.data
+    known, told = Filter.at_origin(data), data.conclusions()
+    follower.solution = Solved(1000, known, {}, told, (), 0)
+    is_due(follower, 1.0, is_new=True)
+    assert not is_due(follower, 4.0)
+    assert is_due(follower, 22.0)
+    follower.add_observation(data.entries[0].observation)  # of a camera that is not located
+    is_due(follower, 23.0, is_new=True)
+    assert is_due(follower, 26.0)
