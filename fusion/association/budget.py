@@ -40,6 +40,8 @@ _FILTERED = 0.6
 # mode and used in the final solution.
 _VIEW = 400.0
 _READ = 300.0
+# For each picture that is read with a mode while the search goes on.
+_COMPLETED = 40.0
 # The likelihood of noise: for each evaluation over a visit, for each of its steps, and for each of
 # the n² operations of n unknowns that its equations share, a step and an unknown.
 _LIKELIHOOD = 50.0
@@ -73,6 +75,10 @@ class Budget(Struct):
     def spend_looking(self) -> None:
         """Note a view that is judged by itself."""
         self.spent += _VIEW
+
+    def spend_completing(self, *, pictures: int) -> None:
+        """Note so many pictures that are read with a mode that others of their visit determine."""
+        self.spent += _COMPLETED * pictures
 
     def spend_learning(self, *, steps: int, shared: int) -> None:
         """Note one evaluation of the likelihood of noise over a visit of so many steps, whose

@@ -174,6 +174,7 @@ class ModeFinder:
         poses, drifts = self._between(visit, mode)
         rows = np.flatnonzero([index not in mode.readings for index in visit.indices])
         others = [visit.indices[row] for row in rows]
+        self.memory.budget.spend_completing(pictures=len(others))
         reader = PictureReader(self.data, visit.robot, mode.camera, self.events, mode.faces)
         read = reader.read([self.observations[i] for i in others], poses[rows], drifts[rows])
         readings, wild = dict(mode.readings), dict(mode.wild)

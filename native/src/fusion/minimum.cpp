@@ -16,6 +16,8 @@ namespace {
 // determined beside its nodes that even the least damping suppresses it: after successful steps
 // there is soon none.
 constexpr double DAMPING_LEAST = 1e-6, DAMPING_NONE = 1e-9, DAMPING_END = 1e8;
+// A step that fails although it promises less than so many times what ends the search is as good.
+constexpr double UNTOLD = 100;
 constexpr std::int64_t MOST_EVER = 10'000;
 
 // The dense part after the chains are eliminated.
@@ -119,6 +121,10 @@ Found trigpoint::minimised(const Argument* given, const Problem& problem, Linear
             std::swap(equations, candidate);
             damping = damping > DAMPING_NONE ? damping / 30 : 0;
         } else {
+            // So near the minimum the cost, of which the equations leave a part out where pictures
+            // have jitter, tells steps apart no more.
+            found.has_converged = promised < UNTOLD * given[TOLERANCE].number;
+            if (found.has_converged) break;
             damping = std::max(damping * 30, DAMPING_LEAST);
         }
     }

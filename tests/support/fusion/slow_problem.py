@@ -223,7 +223,8 @@ def slow_minimum(
         except LinAlgError:
             damping = max(damping * 100, 1e-6)
             continue
-        if -float(equations.gradient @ step) < tolerance:
+        promised = -float(equations.gradient @ step)
+        if promised < tolerance:
             return state, equations, iterations, True
         nodes = {
             name: step[np.concatenate(rows)].reshape(len(rows), -1)
@@ -235,6 +236,8 @@ def slow_minimum(
         if np.isfinite(candidate.cost) and candidate.cost <= equations.cost:
             state, equations = moved, candidate
             damping = damping / 30 if damping > 1e-9 else 0.0
+        elif promised < 100 * tolerance:
+            return state, equations, iterations, True
         else:
             damping = max(damping * 30, 1e-6)
     return state, equations, iterations, False
