@@ -138,7 +138,10 @@ class ModeFinder:
         near = self._plausible(visit, found)
         right = [i for i in chosen if not any(_is_wrong(mode.readings[i]) for mode in near)]
         moments = tuple((chosen[index].stamp_ns, index) for index in right)
-        return VisitModes(visit, near, sum(sum(row) for row in scores.values()), moments)
+        nothing = sum(sum(row) for row in scores.values())
+        if len(chosen) == 1 and near:  # its faces may be wrong together: taken at another time, say
+            nothing = min(nothing, near[0].evidence + self.events.wrong_limit)
+        return VisitModes(visit, near, nothing, moments)
 
     def _found(self, visit: Visit, problem: LocalProblem, starts: list[Start]) -> list[Mode]:
         lens, found, most = self.lenses[visit.camera], list[Mode](), None

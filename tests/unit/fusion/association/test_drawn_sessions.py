@@ -64,6 +64,13 @@ def test_camera_with_a_clock_is_not_pushed_by_one_picture(tmp_path: Path) -> Non
 
 
 @LONG
+def test_last_picture_whose_two_faces_are_displaced_alike_moves_no_camera(tmp_path: Path) -> None:
+    located, places = located_of("everything-mismatch", 4010, tmp_path)
+    assert places.keys() - located.keys() == {"c1"}
+    assert_where_they_say(located, places)
+
+
+@LONG
 def test_camera_between_two_gaps_of_which_a_lift_was_in_either_is_not_located(
     tmp_path: Path,
 ) -> None:
