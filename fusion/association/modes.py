@@ -93,9 +93,11 @@ class ModeFinder:
 
     def _right(self, found: VisitModes) -> tuple[int, int] | None:
         """Between which of a visit's pictures the first and the last lie that do not contradict its
-        best mode; None where its chosen ones begin and end with such."""
+        best mode; None where its chosen ones begin and end with such. Where nothing fits, the first
+        half: a part may be right."""
+        count = len(found.visit.indices)
         if not found.modes:
-            return None
+            return (0, (count + 1) // 2) if count > 1 else None
         chosen, readings = found.visit.chosen, found.modes[0].readings
         if not (_is_wrong(readings[chosen[0]]) or _is_wrong(readings[chosen[-1]])):
             return None
