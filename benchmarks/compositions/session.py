@@ -125,13 +125,15 @@ def session_of(recipe: Recipe) -> Composition:
         return pictures_of(recipe, camera, carriers, times_s[camera.name])
 
     seen = {camera.name: pictures(camera) for camera in cameras}
-    if not all(
-        _is_told(carrier, lift_s, seen) for carrier in carriers for lift_s in carrier.ride.lifts_s
-    ):
-        return session_of(replace(recipe, lifts=0))
     for camera in _to_be_knocked(recipe, cameras, seen):
         seen[camera.name] = pictures(camera)
         cameras = [camera if other.name == camera.name else other for other in cameras]
+    if not all(
+        _is_told(carrier, lift_s, cameras, seen)
+        for carrier in carriers
+        for lift_s in carrier.ride.lifts_s
+    ):
+        return session_of(replace(recipe, lifts=0))
     gaps_s = {carrier.name: _gaps(recipe, carrier) for carrier in carriers}
     return Composition(recipe, cameras, carriers, seen, gaps_s)
 
@@ -168,17 +170,24 @@ def _picture_times(recipe: Recipe, camera: Camera, rides: list[Ride]) -> np.ndar
     return index * STEP_S
 
 
-def _is_told(carrier: Carrier, lift_s: float, seen: dict[str, list[Picture]]) -> bool:
-    """Whether a camera met the robot rightly before and after a lift. One after which it meets only
-    new cameras is told by no picture: these then hang elsewhere, and all fits as well. Nor is one
-    in space that one picture before or after it shows: the robot may have been put down anyhow."""
+def _is_told(
+    carrier: Carrier, lift_s: float, cameras: list[Camera], seen: dict[str, list[Picture]]
+) -> bool:
+    """Whether a camera met the robot rightly before and after a lift, hanging where it hung. One
+    after which it meets only new cameras, or such as were moved meanwhile, is told by no picture:
+    these then hang elsewhere, and all fits as well. Nor is one in space that one picture before or
+    after it shows: the robot may have been put down anyhow."""
     enough = 2 if carrier.ride.is_in_space else 1
-    for pictures in seen.values():
+    for camera in cameras:
         met_s = [
             picture.t_s
-            for picture in pictures
+            for picture in seen[camera.name]
             if any(face.robot == carrier.name and face.is_good for face in picture.faces)
         ]
+        moved_s = [move.at_s for move in camera.moves]
+        since_s = max((at_s for at_s in moved_s if at_s < lift_s), default=-np.inf)
+        until_s = min((at_s for at_s in moved_s if at_s >= lift_s), default=np.inf)
+        met_s = [at_s for at_s in met_s if since_s < at_s < until_s]
         before = sum(at_s < lift_s for at_s in met_s)
         if min(before, len(met_s) - before) >= enough:
             return True

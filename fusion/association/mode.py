@@ -62,7 +62,8 @@ class Mode(Struct, frozen=True):
 
 
 class VisitModes(Struct, frozen=True):
-    """A visit with its modes, best first. `nothing`: the score if all of its sightings are wrong;
+    """A visit with its modes, best first. `nothing`: the score if all of its sightings are wrong,
+    each by itself or, in a single picture, together;
     `right`: (stamp_ns, index) of the chosen pictures in which every mode has a right sighting."""
 
     visit: Visit

@@ -76,34 +76,38 @@ class ModeFinder:
         return self.memory.alone[key]
 
     def parts_of(self, visit: Visit, *, most: int = _MOST_SPLITS) -> list[VisitModes]:
-        """The modes of a visit, split into two visits or more where one end of it contradicts the
-        rest: an event may lie between them. `most`: how many splits may be nested."""
+        """The modes of a visit. Where an end of it contradicts the rest, an event may lie between
+        them: several sightings are a visit of their own, split off; a single one is likelier wrong,
+        and the visit begins after it or ends before it. `most`: how often may be split."""
         whole = self.modes_of(visit)
-        cut = self._cut(whole) if most else None
-        if cut is None:
+        right = self._right(whole) if most else None
+        if right is None:
             return [whole]
-        parts = (visit.part(self.observations, 0, cut), visit.part(self.observations, cut, None))
+        start, end = right
+        cut = start if self._sightings(visit.indices[:start]) > 1 else end
+        if self._sightings(visit.indices[:start] if cut == start else visit.indices[end:]) > 1:
+            parts = visit.part(self.observations, 0, cut), visit.part(self.observations, cut, None)
+        else:
+            parts = (visit.within(self.observations, start, end),)
         return [each for part in parts for each in self.parts_of(part, most=most - 1)]
 
-    def _cut(self, found: VisitModes) -> int | None:
-        """Where to cut a visit of which two sightings or more at one end contradict its best mode:
-        at its first picture, or after its last one, that does not; None where none is needed."""
+    def _right(self, found: VisitModes) -> tuple[int, int] | None:
+        """Between which of a visit's pictures the first and the last lie that do not contradict its
+        best mode; None where its chosen ones begin and end with such. Where nothing fits, the first
+        half: a part may be right."""
+        count = len(found.visit.indices)
         if not found.modes:
-            return None
+            return (0, (count + 1) // 2) if count > 1 else None
         chosen, readings = found.visit.chosen, found.modes[0].readings
         if not (_is_wrong(readings[chosen[0]]) or _is_wrong(readings[chosen[-1]])):
             return None
-        indices, readings = (
-            found.visit.indices,
-            self.completed(found.visit, found.modes[0]).readings,
-        )
+        indices = found.visit.indices
+        readings = self.completed(found.visit, found.modes[0]).readings
         right = [order for order, index in enumerate(indices) if not _is_wrong(readings[index])]
-        # A single sighting is likelier wrong than an event is to have happened.
-        if sum(len(readings[index]) for index in indices[: right[0]]) > 1:
-            return right[0]
-        if sum(len(readings[index]) for index in indices[right[-1] + 1 :]) > 1:
-            return right[-1] + 1
-        return None
+        return right[0], right[-1] + 1
+
+    def _sightings(self, indices: Iterable[int]) -> int:
+        return sum(len(self.observations[index].views) for index in indices)
 
     def modes_of(self, visit: Visit) -> VisitModes:
         """All modes of a visit within the window; if not cached, none once the budget is spent."""
@@ -136,7 +140,10 @@ class ModeFinder:
         near = self._plausible(visit, found)
         right = [i for i in chosen if not any(_is_wrong(mode.readings[i]) for mode in near)]
         moments = tuple((chosen[index].stamp_ns, index) for index in right)
-        return VisitModes(visit, near, sum(sum(row) for row in scores.values()), moments)
+        nothing = sum(sum(row) for row in scores.values())
+        if len(chosen) == 1 and near:  # its faces may be wrong together: taken at another time, say
+            nothing = min(nothing, near[0].evidence + self.events.wrong_limit)
+        return VisitModes(visit, near, nothing, moments)
 
     def _found(self, visit: Visit, problem: LocalProblem, starts: list[Start]) -> list[Mode]:
         lens, found, most = self.lenses[visit.camera], list[Mode](), None

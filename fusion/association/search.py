@@ -129,7 +129,7 @@ class Search:
         score += sum(self.visits[number].nothing for number in hypothesis.nothing)
         score += self.events.happened(self.happened(hypothesis))
         score += sum(
-            self._moved_score(hypothesis.placed, earlier, later)
+            self._moved_score(hypothesis, earlier, later)
             for places in self._places(hypothesis).values()
             for earlier, later in pairwise(places)
         )
@@ -148,11 +148,15 @@ class Search:
             found[camera] = [places[key] for key in sorted(places) if key[0] == camera]
         return found
 
-    def _moved_score(self, placed: Placed, earlier: int | Place, later: int | Place) -> float:
+    def _moved_score(
+        self, hypothesis: Hypothesis, earlier: int | Place, later: int | Place
+    ) -> float:
         """Return the score of a camera's move from one of its places to the next, which may have
         been only a push (`Events.moved`). A single picture never shows a push: one that is off by
         little is likelier wrong."""
-        if any(self.visits[n].is_one_picture for n in (earlier, later) if isinstance(n, int)):
+        placed = hypothesis.placed
+        assert placed is not None
+        if self._is_one_picture(hypothesis, earlier) or self._is_one_picture(hypothesis, later):
             return self.events.moved(np.inf)
         known = self._pushes.setdefault(placed.factor, {})
         if (earlier, later) in known:
@@ -164,6 +168,15 @@ class Search:
                 apart -= self._open_score[each] - self.events.pose_score
         known[earlier, later] = self.events.moved(apart)
         return known[earlier, later]
+
+    def _is_one_picture(self, hypothesis: Hypothesis, which: int | Place) -> bool:
+        """Return whether all that shows one of a camera's places is a single picture."""
+        if isinstance(which, int):
+            return self.visits[which].is_one_picture
+        camera, place = which
+        mine = of_camera(hypothesis, self.visits, camera)
+        there = [n for n in mine if hypothesis.place_of(n) == place]
+        return len(there) == 1 and self.visits[there[0]].is_one_picture
 
     def happened(self, hypothesis: Hypothesis) -> int:
         """Return the number of lifts and moves in a hypothesis, but for moves that were told."""

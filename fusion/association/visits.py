@@ -4,6 +4,7 @@ from collections.abc import Set
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import Observation
@@ -29,8 +30,8 @@ _LEAST_TO_TELL = 3
 
 class Visit(Struct, frozen=True):
     """One visit. `indices`: of its pictures in the session's observations, in order of time;
-    `chosen`: those that the search uses; `stamp_ns`: of the first one, whose robot pose is the
-    visit's own frame; `until_ns`: of the last one."""
+    `chosen`: those that the search uses; `stamp_ns`: of the first of these, whose robot pose is the
+    visit's own frame; `until_ns`: of the last of these."""
 
     camera: str
     robot: str
@@ -42,6 +43,10 @@ class Visit(Struct, frozen=True):
     def part(self, observations: list[Observation], start: int, end: int | None) -> "Visit":
         """The visit of only its pictures from `start` up to, without, `end`; None: to the last."""
         return visit_of(observations, list(self.indices[start:end]))
+
+    def within(self, observations: list[Observation], start: int, end: int) -> "Visit":
+        """The visit with all its pictures, of which only those in a part are chosen from."""
+        return replace(self.part(observations, start, end), indices=self.indices)
 
 
 def visits_of(data: DataSet, observations: list[Observation]) -> list[Visit]:

@@ -373,17 +373,26 @@ public:
 
     Index modes() const { return given_[4].array.shape[0]; }
     double evidence(Index mode) const { return numbers(4)[mode]; }
-    Pose pose(Index mode) const { return base_.times(pose_at(numbers(2) + 12 * mode)); }
-    Matrix6d own(Index mode) const {
+    Pose pose(Index mode, const Pose& base) const {
+        return base.times(pose_at(numbers(2) + 12 * mode));
+    }
+    Matrix6d own(Index mode, const Pose& base) const {
         Matrix6d turn = Matrix6d::Zero();
-        turn.topLeftCorner<3, 3>() = turn.bottomRightCorner<3, 3>() = base_.rotation;
+        turn.topLeftCorner<3, 3>() = turn.bottomRightCorner<3, 3>() = base.rotation;
         return turn * Eigen::Map<const Matrix6d>(numbers(3) + 36 * mode) * turn.transpose();
     }
     // Its derivative by the unknowns in `rows`: a turn of the base swings what is seen from it.
-    AtMost6 by_rows(Index mode) const {
+    AtMost6 by_rows(Index mode, const Pose& base) const {
         Matrix6d lever = Matrix6d::Identity();
-        lever.topRightCorner<3, 3>() = -hat(pose(mode).translation - base_.translation);
+        lever.topRightCorner<3, 3>() = -hat(pose(mode, base).translation - base.translation);
         return lever(Eigen::all, axes_);
+    }
+    // The base where the unknowns in `rows` have changed by this; by how much that turned it.
+    Pose moved(const Eigen::Ref<const Eigen::VectorXd>& by) const {
+        return base_.disturbed(in_all_axes(by));
+    }
+    double turned(const Eigen::Ref<const Eigen::VectorXd>& by) const {
+        return in_all_axes(by).tail<3>().norm();
     }
 
 private:
@@ -392,6 +401,11 @@ private:
     std::vector<Index> axes_;
 
     double* numbers(int which) const { return given_[which].array.as<double>(); }
+    Vector6d in_all_axes(const Eigen::Ref<const Eigen::VectorXd>& by) const {
+        Vector6d all = Vector6d::Zero();
+        all(axes_) = by;
+        return all;
+    }
 };
 
 // The marginal covariance of the unknowns in these rows, each of them one.
@@ -424,6 +438,42 @@ TRIGPOINT_KERNEL(tp_factor_covariance) {
     return 0;
 }
 
+namespace {
+
+// What a mode says is turned with its base, and swings by its lever: its agreement with another is
+// judged where the two together put the bases, unless they turn these by less than this (rad).
+constexpr double SMALL_TURN = 0.01;
+constexpr int MOST_TURNS = 8;
+
+// -2 ln of the likelihood that two modes show one place, by the joint covariance `shared` of the
+// unknowns of both bases and that of the places' difference, `beside`.
+double disagreement(const Seen& first, Index k, const Seen& second, Index m, const RowMajor& shared,
+                    const Matrix6d& beside) {
+    const auto count = static_cast<Index>(first.rows.size()), others = shared.cols() - count;
+    Eigen::Matrix<double, 6, Eigen::Dynamic> by(6, shared.cols());
+    Eigen::VectorXd moved = Eigen::VectorXd::Zero(shared.cols());
+    double cost = 0;
+    for (int round = 0; round < MOST_TURNS; ++round) {
+        const Pose old = first.moved(moved.head(count)), now = second.moved(moved.tail(others));
+        by.leftCols(count) = -first.by_rows(k, old);
+        by.rightCols(others) = second.by_rows(m, now);
+        const Matrix6d spread =
+            by * shared * by.transpose() + first.own(k, old) + beside + second.own(m, now);
+        const Vector6d error = second.pose(m, now).difference(first.pose(k, old)) - by * moved;
+        const Eigen::PartialPivLU<Matrix6d> parts(spread);
+        const Vector6d weighted = parts.solve(error);
+        cost = error.dot(weighted) + parts.matrixLU().diagonal().array().abs().log().sum();
+        const Eigen::VectorXd further = -shared * by.transpose() * weighted - moved;
+        if (!further.allFinite() || (first.turned(further.head(count)) < SMALL_TURN &&
+                                     second.turned(further.tail(others)) < SMALL_TURN))
+            break;
+        moved += further;
+    }
+    return cost;
+}
+
+}  // namespace
+
 // (factor, two of `Seen`, the covariance (6, 6) of the difference of their places, costs (k, m)):
 // 0; see `agreement.agreement`.
 TRIGPOINT_KERNEL(tp_agreement) {
@@ -435,22 +485,12 @@ TRIGPOINT_KERNEL(tp_agreement) {
     std::vector<Index> rows = first.rows;
     rows.insert(rows.end(), second.rows.begin(), second.rows.end());
     const RowMajor shared = covariance_of(factor, rows);
-    Eigen::Matrix<double, 6, Eigen::Dynamic> by(6, shared.cols());
-    for (Index k = 0; k < first.modes(); ++k) {
-        const Pose old = first.pose(k);
-        const Matrix6d own = first.own(k) + beside;
-        by.leftCols(static_cast<Index>(first.rows.size())) = -first.by_rows(k);
+    for (Index k = 0; k < first.modes(); ++k)
         for (Index m = 0; m < second.modes(); ++m) {
-            by.rightCols(static_cast<Index>(second.rows.size())) = second.by_rows(m);
-            const Matrix6d spread = by * shared * by.transpose() + own + second.own(m);
-            const Vector6d error = second.pose(m).difference(old);
-            const Eigen::PartialPivLU<Matrix6d> parts(spread);
-            const double cost = error.dot(parts.solve(error)) +
-                                parts.matrixLU().diagonal().array().abs().log().sum();
+            const double cost = disagreement(first, k, second, m, shared, beside);
             if (!std::isfinite(cost)) throw std::invalid_argument("poses that nothing determines");
             rest[1].array.as<double>()[second.modes() * k + m] =
                 cost + first.evidence(k) + second.evidence(m);
         }
-    }
     return 0;
 }

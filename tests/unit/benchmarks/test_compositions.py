@@ -156,14 +156,20 @@ def test_a_lifted_robot_is_elsewhere_and_its_odometry_does_not_notice() -> None:
     assert np.ptp(reported, axis=0).max() < 1e-9
 
 
-def test_a_lift_that_no_picture_could_tell_does_not_happen() -> None:
+@pytest.mark.parametrize("moves", [0, 1])
+def test_a_lift_that_no_picture_could_tell_does_not_happen(moves: int) -> None:
+    """Nor one that shows by a camera alone that was moved meanwhile."""
     lifted = 0
     for seed in range(6):
-        session = session_of(Recipe("loop", seed, cameras=4, lifts=1))
+        session = session_of(Recipe("loop", seed, cameras=4, lifts=1, moves=moves))
         for lift_s in session.carriers[0].ride.lifts_s:
             lifted += 1
-            times_s = [[p.t_s for p in pictures] for pictures in session.pictures.values()]
-            assert any(min(t_s) < lift_s < max(t_s) for t_s in times_s if t_s)
+            assert any(
+                min(t_s) < lift_s < max(t_s)
+                and not any(min(t_s) < move.at_s < max(t_s) for move in camera.moves)
+                for camera in session.cameras
+                if (t_s := [picture.t_s for picture in session.pictures[camera.name]])
+            )
     assert lifted >= 2
 
 

@@ -193,6 +193,15 @@ def test_displaced_picture_with_wild_corners_is_wrong(seed: int, displaced_px: f
     assert [best.readings[n][0] is None for n in range(3)] == [True, False, False]
 
 
+def test_all_that_one_picture_shows_may_be_wrong_together() -> None:
+    """Two faces seen alike elsewhere were as improbable as two wrong ones beside each other: the
+    last picture of a drawn session had put its camera 27 cm off."""
+    data = frontal(seen_data(target_of("charuco")), faces=2)
+    assert len(data.entries[0].observation.views) == 2
+    found = modes_of(data)
+    assert found.nothing == pytest.approx(found.modes[0].evidence + Events().wrong_limit)
+
+
 def test_located_camera_is_never_mirrored() -> None:
     data = seen_data(target_of("checkerboard"))
     found = found_in(data)

@@ -1,6 +1,7 @@
 """What a search tries beside its first answer."""
 
 import pytest
+from msgspec.structs import replace
 from support.oracle.sessions import Shape, graph_of
 
 from trigpoint.fusion.association.budget import Budget
@@ -55,6 +56,9 @@ def test_doubt_is_followed_while_it_is_not_far_behind_the_search_without_it(
     search: Search, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     numbers, trail = range(4), Trail(search.graph, range(4))
+    visits, dear = search.visits, search.visits[2].nothing + 6 * window()
+    visits = [*visits[:2], replace(visits[2], nothing=dear), *visits[3:]]
+    monkeypatch.setattr(search, "visits", visits)
     best = search.explained([search.beginning()], numbers, trail=trail)[0]
     assert trail.least(4) == best.score
     alone = search.explained([search.beginning()], numbers, wrong=2)
