@@ -2,7 +2,8 @@
 
 A known face is first looked for where its motion predicts it, then around that place. The whole
 picture is searched if nothing is followed, and occasionally for new faces; the surroundings of
-followed faces are searched more often.
+followed faces are searched more often. What nothing was found in, and nothing changes in, is
+searched occasionally too: most cameras see an empty room most of the time.
 """
 
 from collections.abc import Sequence
@@ -22,13 +23,14 @@ from .detector import finders_for, misdescribed
 from .image.median import median
 from .image.picture import as_grey
 from .image.region import Region, regions_around
+from .image.stillness import Stillness
 from .image.time_limit import IsOver
 from .registration.corner_pattern import CornerPattern
 from .registration.finder import FaceFinder
 from .registration.measurement import LEAST_CORNERS, Located
 from .registration.planar_fit import FIT, PlanarFit
 
-# How often the whole picture is searched while faces are followed.
+# How often the whole picture is searched while faces are followed, or nothing changes.
 SEARCH_EVERY_NS = 500_000_000
 # How often the surroundings of followed faces are searched for the robot's next face turning into
 # view, if a face has moved by this share of its size since the last look.
@@ -147,6 +149,7 @@ class TargetTracker:
         self._looked_ns = 0
         self._outlines: list[Array] = []
         self._shape: tuple[int, ...] = ()
+        self._stillness = Stillness()
         self.given_up = 0
 
     @property
@@ -167,7 +170,7 @@ class TargetTracker:
         self._forget(grey.shape, stamp_ns)
         followed = self._followed(grey, stamp_ns, budget.is_over)
         found = [located for _, located in followed]
-        if self._is_search_due(stamp_ns, found):
+        if self._is_search_due(grey, stamp_ns, found):
             self._searched_ns = stamp_ns
             found = self._searched(grey, found, None, budget.is_over)
             self._looked_ns, self._outlines = stamp_ns, _outlines(found)
@@ -186,10 +189,15 @@ class TargetTracker:
         self._shape = shape
         self._tracks = [t for t in self._tracks if stamp_ns - t.seen_ns <= FORGET_NS]
 
-    def _is_search_due(self, stamp_ns: int, found: Sequence[Located]) -> bool:
-        """Whether to search all: nothing is followed, a face was just lost, or it is time to."""
+    def _is_search_due(self, grey: np.ndarray, stamp_ns: int, found: Sequence[Located]) -> bool:
+        """Whether to search all: nothing is followed in pictures that change, a face was just lost,
+        or it is time to."""
+        if self._tracks:
+            self._stillness = Stillness()
         fresh = sum(track.misses == 0 for track in self._tracks)
-        if self._searched_ns is None or len(found) < max(fresh, 1):
+        if self._searched_ns is None or len(found) < fresh:
+            return True
+        if not found and not self._stillness.lasts(grey, stamp_ns):
             return True
         return stamp_ns - self._searched_ns >= SEARCH_EVERY_NS
 

@@ -105,24 +105,31 @@ def played(
 
 
 def run(effort: float = 1.0) -> list[Row]:
-    """Both kinds of target."""
+    """Both kinds of target; before each of the other cameras a room in which nothing moves, or
+    another room in every picture."""
     seconds = share_of(_SECONDS, effort)
+    rows = list[Row]()
     with one_thread():
-        return [row for target in ("charuco", "checkerboard") for row in _rows(target, seconds)]
+        for choice in ("charuco", "checkerboard"):
+            pictures = gallery(choice)
+            other = [view.picture for view in pictures.without_faces(_PICTURES)]
+            rows += _rows(choice, "still rooms", pictures.rooms(_PICTURES), seconds)
+            rows += _rows(choice, "other rooms in every picture", [other], seconds)
+    return rows
 
 
-def _rows(choice: str, seconds: int) -> list[Row]:
+def _rows(choice: str, where: str, rooms: list[list[np.ndarray]], seconds: int) -> list[Row]:
     pictures = gallery(choice)
     (before_robot,) = pictures.sequences(1, _PICTURES)
     PlayedFrames.lens = lens = next(iter(pictures.world.cameras.values())).model
-    empty = [view.picture for view in pictures.without_faces(_PICTURES)]
-    shown = [[view.picture for _, view in before_robot], *[empty] * (CAMERAS - 1)]
+    empty = itertools.islice(itertools.cycle(rooms), CAMERAS - 1)
+    shown = [[view.picture for _, view in before_robot], *empty]
     frames = {f"c{number}": _to_and_fro(own, seconds) for number, own in enumerate(shown)}
     took, nodes = played(frames, pictures.target, (lens.width, lens.height))
     count = sum(node.health.total("pictures") for node in nodes)
     given_up = sum(node.health.lost("given_up") for node in nodes)
     load = took * CAMERAS * RATE_HZ / count
-    what = f"{CAMERAS} cameras at {RATE_HZ:.0f} Hz, {choice}"
+    what = f"{CAMERAS} cameras at {RATE_HZ:.0f} Hz, {choice}, {where}"
     return [
         Row("agent", f"{what}, of a core", "cores", load, 1.0, "one core"),
         Row("agent", f"{what}, given up", "pictures", given_up, count, "all pictures"),

@@ -74,6 +74,15 @@ class Gallery:
         """Views of the rooms in which no face shows its front."""
         return self._views([m for m in self._moments() if not self._seen(*m)], count)
 
+    def rooms(self, count: int) -> list[list[np.ndarray]]:
+        """Pictures that each camera takes in a row, but for those in which a face shows its
+        front."""
+        empty = [moment for moment in self._moments() if not self._seen(*moment)]
+        return [
+            [self.render(*moment) for moment in [m for m in empty if m[0] == name][:count]]
+            for name in self.world.cameras
+        ]
+
     def render(self, camera: str, index: int) -> np.ndarray:
         """One picture."""
         return self._renderers[camera].picture(index)

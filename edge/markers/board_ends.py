@@ -5,6 +5,9 @@ without `legacy` describes, less that one's first column: its markers contradict
 last column is out of the picture.
 """
 
+from functools import cache
+from itertools import product
+
 import numpy as np
 
 from trigpoint.edge.image.median import median
@@ -18,7 +21,7 @@ from .markers import LEAST_CONTRAST
 
 # Where a line of squares is looked at: how deep from its edge, and between its squares' sides; in
 # squares, as the distance of what is looked at from the nearest corner.
-_DEEP, _BETWEEN, _REACH = (0.1, 0.2), (0.3, 0.5, 0.7), 1.6
+_DEEP, _BETWEEN, _REACH = np.array([0.1, 0.2]), np.array([0.3, 0.5, 0.7]), 1.6
 # Dark squares of one line: the file's own may be lost to a glare one at a time.
 _LEAST_GONE = 2
 # Each of the four squares that meet at a corner is looked at between that and its marker.
@@ -30,11 +33,22 @@ def ends_early(grey: np.ndarray, face: Face, found: Measured) -> bool:
     its dark squares are light from the inner edge on, up to which the next line is as printed. What
     hides a line does not end so exactly at its edge."""
     middle = _middle(grey, face, found)
-    return middle is not None and any(
-        _is_missing(grey, face, found, middle, is_column=is_column, is_last=is_last)
-        for is_column in (True, False)
-        for is_last in (True, False)
+    if middle is None:
+        return False
+    places, lines = _dark_squares(face)
+    pixels = found.fit.project(places.reshape(-1, 2)).reshape(places.shape)
+    is_in = np.all((pixels > 1) & (pixels < np.array(grey.shape[::-1]) - 2), axis=(1, 2))
+    corners = face.corners[found.corners, :2]
+    apart = np.abs(places.mean(axis=1)[:, None] - corners).max(axis=-1).min(axis=1)
+    kept = is_in & (apart < _REACH * face.square)
+    values, lines = sampled(grey, pixels[kept]), lines[kept]
+    all_count, light, dark = (
+        np.bincount(lines[which], minlength=8).reshape(4, 2)
+        for which in (slice(None), values.min(axis=1) > middle, values.max(axis=1) < middle)
     )
+    (outer, inner), gone, printed = all_count.T, light[:, 0], dark[:, 1]
+    is_early = (outer >= _LEAST_GONE) & (gone == outer) & (inner > 0) & (printed == inner)
+    return bool(is_early.any())
 
 
 def _middle(grey: np.ndarray, face: Face, found: Measured) -> float | None:
@@ -49,43 +63,24 @@ def _middle(grey: np.ndarray, face: Face, found: Measured) -> float | None:
     return (dark + light) / 2 if light - dark > LEAST_CONTRAST else None
 
 
-def _is_missing(
-    grey: np.ndarray,
-    face: Face,
-    found: Measured,
-    middle: float,
-    *,
-    is_column: bool,
-    is_last: bool,
-) -> bool:
-    along, count = (face.rows, face.columns) if is_column else (face.columns, face.rows)
-    outer, inner = (count - 1, count - 2) if is_last else (0, 1)
-    edge = float(outer if is_last else inner)  # between the two lines, in squares
-    away = 1.0 if is_last else -1.0
-    steps = np.arange(along)
-    reach = face.corners[found.corners, :2] / face.square + 1  # in squares from the top left
-
-    def seen(line: int, way: float, *, dark: bool) -> Array:
-        """The grey values (k, d · 3) of a line's dark, or light, squares on one side of the edge,
-        where these lie in the picture and near found corners."""
-        ends = (np.full(along, line), steps) if is_column else (steps, np.full(along, line))
-        mine = steps[squares_are_light(face, *ends) != dark]
-        across, down = np.meshgrid(edge + way * np.array(_DEEP), _BETWEEN)
-        across = np.broadcast_to(across, (len(mine), *across.shape)).reshape(len(mine), -1)
-        beside = (mine[:, None, None] + down).reshape(len(mine), -1)
-        spots = np.stack([across, beside] if is_column else [beside, across], axis=-1)
-        pixels = found.fit.project((spots.reshape(-1, 2) - 1) * face.square)
-        pixels = pixels.reshape(*spots.shape)
-        is_in = np.all((pixels > 1) & (pixels < np.array(grey.shape[::-1]) - 2), axis=(1, 2))
-        apart = np.abs(spots.mean(axis=1)[:, None] - reach[None]).max(axis=-1).min(axis=1)
-        chosen = pixels[is_in & (apart < _REACH)]
-        return sampled(grey, chosen)
-
-    gone = seen(outer, away, dark=True)
-    printed = seen(inner, -away, dark=True)
-    return (
-        len(gone) >= _LEAST_GONE
-        and len(printed) > 0
-        and bool(np.all(gone > middle))
-        and bool(np.all(printed < middle))
-    )
+@cache
+def _dark_squares(face: Face) -> tuple[Array, np.ndarray]:
+    """Where the dark squares of the two lines on each side are looked at, (n, 6, 2) face places;
+    and of which line each is, (n,): of side k the outer one is 2 k, the inner one 2 k + 1. Neither
+    is written to."""
+    places, lines = list[Array](), list[int]()
+    for side, (is_column, is_last) in enumerate(product((True, False), (True, False))):
+        along, count = (face.rows, face.columns) if is_column else (face.columns, face.rows)
+        edge = count - 1 if is_last else 1  # between the two lines, in squares
+        for inner in (False, True):
+            way = 1 if is_last is not inner else -1
+            line = edge if way > 0 else edge - 1
+            for step in range(along):
+                square = (line, step) if is_column else (step, line)
+                if squares_are_light(face, *map(np.array, square)):
+                    continue
+                across, beside = np.meshgrid(edge + way * _DEEP, step + _BETWEEN)
+                spots = [across, beside] if is_column else [beside, across]
+                places.append((np.stack(spots, axis=-1).reshape(-1, 2) - 1) * face.square)
+                lines.append(2 * side + inner)
+    return np.array(places), np.array(lines)

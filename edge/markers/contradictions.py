@@ -29,6 +29,8 @@ _REACH_SQUARES = 2.6
 _SURELY, _HARDLY, _PROBABLY = 0.85, 0.25, 0.5
 # Quadrilaterals at markers' places that are no marker of the file: as many are chance.
 _MOST_FOREIGN = 1
+# Which corner comes first, second and so on, of a quadrilateral that is turned so often.
+_TURNS = (np.arange(4)[:, None] + np.arange(4)) % 4
 
 
 class Contradictions(Struct, frozen=True):
@@ -68,7 +70,9 @@ def contradictions(
     own[numbers < 0] = 0.0
     agrees = own > _PROBABLY
     # A place is seen as several quadrilaterals: what agrees there settles it.
-    settled = np.isin(which, which[agrees])
+    has_own = np.zeros(len(near), bool)
+    has_own[which[agrees]] = True
+    settled = has_own[which]
     elsewhere = ~settled & (scores.max(axis=1) > _SURELY)
     # Where not one of its markers is surely read, what is not probably its own is none of it, and
     # what is like a marker beyond its edge is of a board that goes on.
@@ -102,10 +106,10 @@ def _cells(board: MarkedBoard) -> tuple[Array, np.ndarray, np.ndarray]:
 def _at(placed: Array, quads: Array) -> tuple[np.ndarray, Array]:
     """The quadrilaterals that lie where markers `placed` (n, 4, 2) would: of which place each,
     (k,), and its corners (k, 4, 2) from the same one on."""
-    sides = np.linalg.norm(np.roll(placed, 1, axis=1) - placed, axis=-1).mean(axis=1)
+    sides = np.linalg.norm(placed[:, _TURNS[3]] - placed, axis=-1).mean(axis=1)
     apart = np.abs(quads.mean(axis=1)[None] - placed.mean(axis=1)[:, None]).max(axis=-1)
     which, index = np.nonzero(apart < _NEAR * sides[:, None])
-    turned = np.stack([np.roll(quads[index], -turn, axis=1) for turn in range(4)], axis=1)
+    turned = quads[index][:, _TURNS]
     off = np.linalg.norm(turned - placed[which][:, None], axis=-1).mean(axis=-1)
     turn = off.argmin(axis=1)
     near = off.min(axis=1) < _NEAR * sides[which]

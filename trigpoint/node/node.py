@@ -15,6 +15,7 @@ import threading
 import time
 import uuid
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from types import TracebackType
 from typing import Protocol, Self, TypeVar
 
@@ -341,11 +342,10 @@ class Node:
             if sample is None:
                 return
             try:
-                message = decode(DIAGNOSTICS.type_name, sample.payload)
+                message = _heard(sample.payload)
             except MessageError as reason:
                 self.health.reject(sample, reason)
                 continue
-            assert isinstance(message, Diagnostics)
             for status in message.statuses:
                 self._meet(status)
 
@@ -353,6 +353,15 @@ class Node:
         is_elder = self._peers.meet(status)
         if is_elder and self._uptime_s < _NEWCOMER_S:
             raise OperationError(self._second)
+
+
+@lru_cache(64)
+def _heard(payload: bytes) -> Diagnostics:
+    """A node's diagnostics, not to be written to: all nodes of a process, as an agent's cameras,
+    hear the same. Raises MessageError."""
+    message = decode(DIAGNOSTICS.type_name, payload)
+    assert isinstance(message, Diagnostics)
+    return message
 
 
 def stopped_by_signals(node: Node) -> Node:

@@ -112,7 +112,8 @@ private:
 };
 
 // The homography of least algebraic error (Hartley 1997; the points are normalised already, and the
-// pixels nearly); none where it is not finite.
+// pixels nearly) whose last number is 1, which none in front of the camera lacks: the points lie
+// about 0. None where it is not finite.
 std::optional<Eigen::Matrix3d> direct_homography(const Problem& problem) {
     Eigen::Vector2d mean = Eigen::Vector2d::Zero();
     for (Eigen::Index i = 0; i < problem.count(); ++i) mean += problem.target(i);
@@ -122,21 +123,22 @@ std::optional<Eigen::Matrix3d> direct_homography(const Problem& problem) {
         squares += (problem.target(i) - mean).squaredNorm();
     const double spread =
         std::max(std::sqrt(squares / (2.0 * static_cast<double>(problem.count()))), 1e-12);
-    Eigen::Matrix<double, 9, 9> normal = Eigen::Matrix<double, 9, 9>::Zero();
+    Eigen::Matrix<double, PLANE, PLANE> normal = Eigen::Matrix<double, PLANE, PLANE>::Zero();
+    Eigen::Matrix<double, PLANE, 1> right = Eigen::Matrix<double, PLANE, 1>::Zero();
     for (Eigen::Index i = 0; i < problem.count(); ++i) {
         const Eigen::Vector3d point = problem.point(i);
         const Eigen::Vector2d target = (problem.target(i) - mean) / spread;
-        Eigen::Matrix<double, 2, 9> rows = Eigen::Matrix<double, 2, 9>::Zero();
+        Eigen::Matrix<double, 2, PLANE> rows = Eigen::Matrix<double, 2, PLANE>::Zero();
         rows.block<1, 3>(0, 0) = point.transpose();
         rows.block<1, 3>(1, 3) = point.transpose();
-        rows.block<2, 3>(0, 6) = -target * point.transpose();
-        normal += rows.transpose() * rows;
+        rows.rightCols<2>() = -target * point.head<2>().transpose();
+        normal += rows.transpose().lazyProduct(rows);
+        right += rows.transpose() * target;
     }
-    if (!normal.allFinite()) return std::nullopt;
-    const Eigen::SelfAdjointEigenSolver<Eigen::Matrix<double, 9, 9>> solver(normal);
-    const Eigen::Matrix<double, 9, 1> least = solver.eigenvectors().col(0);
+    const Eigen::Matrix<double, PLANE, 1> least = normal.ldlt().solve(right);
     Eigen::Matrix3d homography, back;
-    for (int i = 0; i < 9; ++i) homography(i / 3, i % 3) = least(i);
+    for (int i = 0; i < PLANE; ++i) homography(i / 3, i % 3) = least(i);
+    homography(2, 2) = 1;
     back << spread, 0, mean.x(), 0, spread, mean.y(), 0, 0, 1;
     homography = back * homography;
     if (!homography.allFinite()) return std::nullopt;

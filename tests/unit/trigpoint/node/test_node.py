@@ -12,6 +12,7 @@ from trigpoint.base.errors import OperationError, PortError
 from trigpoint.contract.cdr import decode, encode
 from trigpoint.contract.messages import Diagnostics, DiagnosticStatus
 from trigpoint.contract.topics import DIAGNOSTICS, alive_key
+from trigpoint.node import node as node_module
 from trigpoint.node.node import Node, stop_on_signals, stopped_by_signals
 from trigpoint.testing.memory_bus import MemoryBroker, MemoryBus
 
@@ -256,3 +257,9 @@ def test_node_tells_which_servers_it_has_heard(bus: MemoryBus) -> None:
         heard_s = node.silent_s("fusion")
         assert heard_s is not None
         assert heard_s < 10.0
+
+
+def test_what_all_nodes_of_a_process_hear_is_decoded_once() -> None:
+    payload = foreign_diagnostics("fusion/fusion")
+    first, second = (node_module._heard(bytes(bytearray(payload))) for _ in range(2))
+    assert first is second
