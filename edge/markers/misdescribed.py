@@ -163,8 +163,8 @@ class MisdescribedBoards:
 def _vague(look: Appearance) -> str:
     """What to say of a board that is contradicted and none of the others."""
     return (
-        f"{look.words}: its markers are seen in other places than the target file has, so it is "
-        "not used; compare columns, rows, first_marker and numbering with the print"
+        f"{look.words}: its markers, or its ends, are seen in other places than the target file "
+        "has, so it is not used; compare columns, rows, first_marker and numbering with the print"
     )
 
 

@@ -3,6 +3,7 @@
 import cv2
 
 from trigpoint.base.errors import TargetError
+from trigpoint.base.words import nearest
 from trigpoint.site.target import Face
 
 
@@ -10,7 +11,10 @@ def predefined_dictionary(name: str) -> cv2.aruco.Dictionary:
     """One of OpenCV's marker dictionaries; raise TargetError that lists them."""
     known = [known for known in dir(cv2.aruco) if known.startswith("DICT_")]
     if name not in known:
-        raise TargetError(f"the dictionary «{name}» is not known; use one of {', '.join(known)}")
+        raise TargetError(
+            f"the dictionary «{name}» is not known{nearest(name.upper(), known)}; use one of "
+            f"{', '.join(known)}"
+        )
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
 
 

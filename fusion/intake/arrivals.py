@@ -47,7 +47,7 @@ class Span(Struct, frozen=True):
     @property
     def counts_from_start(self) -> bool:
         """Whether it is by a simulator's clock, or by one that counts from when it was started."""
-        return self.first_ns >= 0 and self.last_ns < _NEVER_SET_NS
+        return self.first_ns > -_NEVER_SET_NS and self.last_ns < _NEVER_SET_NS
 
     @property
     def period_s(self) -> float:
@@ -67,6 +67,7 @@ class Arrivals:
     """All messages of the site's cameras and robots. `tracks`: the robots' odometry; `seen`:
     camera -> when it saw a target; `unreadable`: camera -> what is wrong with all that it sent;
     `misdescribed`: camera -> what its pictures show in place of the target file's boards;
+    `clocks`: camera -> whose stamps lie otherwise to its own than to the times of recording;
     `unused`: camera -> why pictures of it were left out, as the pipeline says; `odometry`: what is
     odd about that."""
 
@@ -80,12 +81,20 @@ class Arrivals:
         self.seen: dict[str, Span] = {}
         self.unreadable: dict[str, str] = {}
         self.misdescribed: dict[str, str] = {}
+        self.clocks: dict[str, str] = {}
+        self._exchanged: dict[str, str] = {}
         self.unused: dict[str, str] = {}
 
     def add(self, node: str, message: Message) -> None:
         """Note a message of a camera or robot; what a robot's odometry says, by `add_odometry`."""
         if isinstance(message, Odometry | Sightings) and message.mended:
             self._mended.update((node, lack) for lack in message.mended)
+        if isinstance(message, Odometry) and "odom" in message.child_frame_id:
+            self._exchanged[node] = (
+                f"robot {node}: its odometry says that it is the pose of {message.child_frame_id} "
+                f"in {message.frame_id or '«»'}, and is taken for that of the base in odom; if its "
+                "frames are not only named so, give the inverse"
+            )
         if isinstance(message, Sightings) and message.faces and node in self._tolerance_ns:
             span, stamp_ns = self.seen.get(node), message.stamp_ns
             self.seen[node] = span.with_stamp(stamp_ns) if span else Span(stamp_ns, stamp_ns)
@@ -110,7 +119,9 @@ class Arrivals:
         """What came and cannot be right, as text."""
         wrong = self.misdescribed.items()
         described = [f"{name}: {words}" for name, words in wrong if name in self.seen]
-        return [*self.odometry.texts, *described]
+        apart = self.apart
+        clocks = [f"{name}: {words}" for name, words in self.clocks.items() if name not in apart]
+        return [*self.odometry.texts, *self._exchanged.values(), *described, *clocks]
 
     @property
     def apart(self) -> dict[str, str]:

@@ -76,6 +76,11 @@ class McapIndex(Struct):
         return f"{_FORMS.get(encoding, f'message in «{encoding}»')} ({name}) in MCAP"
 
 
+def is_of_ros2(kind: str) -> bool:
+    """Whether a type, as `McapIndex.type_of` has it, is one that ROS 2's messages have."""
+    return "/msg/" in kind and " " not in kind
+
+
 _TOLD = 3
 _FORMS = {"ros1": "ROS 1 message", "json": "JSON message", "protobuf": "Protobuf message"}
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from msgspec import Struct
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
 from trigpoint.base.errors import MessageError, RecordingError
 from trigpoint.contract.cdr_codecs import CODECS
@@ -25,7 +26,7 @@ from trigpoint.contract.messages import (
     SIGHTINGS,
     Message,
 )
-from trigpoint.recorder.mcap.file import McapIndex
+from trigpoint.recorder.mcap.file import McapIndex, is_of_ros2
 from trigpoint.recorder.mcap.index import read_index
 from trigpoint.recorder.mcap.rosbag_files import STORE, STREAMED, Raw, RosbagFiles, decoded
 
@@ -73,6 +74,16 @@ class Bag:
         self.topics = {topic: _most_useful(kinds) for topic, kinds in self._source.kinds.items()}
         """Type by topic: of several, the one of use that most of its messages have."""
 
+    @property
+    def known(self) -> str:
+        """All topics with their types, for people."""
+        return ", ".join(f"{name} ({kind})" for name, kind in sorted(self.topics.items()))
+
+    @property
+    def is_foreign(self) -> bool:
+        """Whether none of its messages is of ROS 2."""
+        return not any(map(is_of_ros2, self.topics.values()))
+
     def pictures(self) -> list[str]:
         """The topics with pictures."""
         return [topic for topic, kind in self.topics.items() if kind in PICTURES]
@@ -95,12 +106,12 @@ class Bag:
     def _check(self, topic: str) -> None:
         kind = self.topics.get(topic)
         if kind is None:
-            known = ", ".join(f"{name} ({kind})" for name, kind in sorted(self.topics.items()))
-            raise RecordingError(f"{self._path}: there is no topic {topic}; it has {known}")
+            raise RecordingError(f"{self._path}: there is no topic {topic}; it has {self.known}")
         if kind not in READ:
-            is_ros2 = "/msg/" in kind and " " not in kind
             give = (
-                "give pictures, camera_info or odometry" if is_ros2 else "convert it to ROS 2's CDR"
+                "give pictures, camera_info or odometry"
+                if is_of_ros2(kind)
+                else "convert it to ROS 2's CDR"
             )
             raise RecordingError(f"{self._path}: {topic} is a {kind}; {give}")
 
@@ -150,9 +161,17 @@ def _decoder(part: McapIndex, number: int) -> Callable[[bytes], Any]:
         text = schema.data.decode() if schema else ""
         types = get_types_from_idl if schema and schema.encoding == "ros2idl" else None
         store.register(types(text) if types else get_types_from_msg(text, name))
+        if not _fields(STORE, name) <= _fields(store, name):
+            store = STORE  # recorders write an empty one where they do not find it
     except Exception:  # noqa: BLE001 - rosbags raises whatever a definition leads it to
         store = STORE
     return lambda payload: store.deserialize_cdr(payload, name)
+
+
+def _fields(store: Typestore, name: str) -> set[str]:
+    """The names of a type's fields in small letters, as not all of ROS 1's are."""
+    _, fields = store.fielddefs.get(name, ([], []))
+    return {field.lower() for field, _ in fields}
 
 
 def _message(type_name: str, found: Any) -> Message | RawImage:

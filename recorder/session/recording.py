@@ -17,6 +17,7 @@ from trigpoint.recorder.mcap.file import (
     McapIndex,
     RawMessage,
     chunk_messages,
+    is_of_ros2,
     read_chunk,
 )
 from trigpoint.recorder.mcap.index import read_index
@@ -122,10 +123,18 @@ class Recording:
         for index in self.parts:
             check_types(index)
         if len(self.unknown_keys) == len(self.counts):
-            topics = ", ".join(f"/{key}" for key in self.counts)
+            kinds = {key_of(p, each): p.type_of(each) for p in self.parts for each in p.channels}
+            is_ours = {key: is_of_ros2(kind) for key, kind in kinds.items()}
+            topics = ", ".join(
+                f"/{key}{'' if is_ours[key] else f' ({kinds[key]})'}" for key in self.counts
+            )
+            ways = {
+                True: "detect, intrinsics and calibrate take them by --topic",
+                False: "convert it to ROS 2's CDR, then detect, intrinsics and calibrate take them",
+            }
             raise RecordingError(
                 f"{self.path}: none of its topics ({topics}) is one of a session of Trigpoint; "
-                "detect, intrinsics and calibrate take them by --topic"
+                f"{ways[any(is_ours.values())]}"
             )
 
     @property

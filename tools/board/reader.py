@@ -42,6 +42,8 @@ from .scene import Scene, are_sound, check_places
 PERIOD_S = 0.05
 NAME = "board"
 _LOOK_S = 1.0
+_PARTS = 8
+"""Of the reports that wait, so many parts are heard one after the other, twenty a second."""
 _HEARD_S = 3.5
 """Nodes send diagnostics once a second; three that are missing are a silence."""
 _UNHEARD = ("missing", "silent")
@@ -117,9 +119,10 @@ class Reader:
         try:
             while not stopping.is_set():
                 self._read(latest)
+                self._hear_some(reports)
                 if self._elapsed_s - self._looked_s >= _LOOK_S:
                     self._looked_s = self._elapsed_s
-                    self._look(bus, reports)
+                    self._look(bus)
                 due_s = max(due_s + PERIOD_S, self._elapsed_s)
                 self._clock.wait(stopping, due_s - self._elapsed_s)
         finally:
@@ -147,11 +150,14 @@ class Reader:
                     self._take(topic, sample)
         self._show(self._scene.changed())
 
-    def _look(self, bus: Bus, reports: Subscription) -> None:
-        """What is seen once a second, after what moves has been shown."""
-        for _ in range(reports.depth):  # what comes meanwhile is heard next time
+    def _hear_some(self, reports: Subscription) -> None:
+        """A part of the reports that wait: all of a second's at once would hold up what moves."""
+        for _ in range(-(-reports.depth // _PARTS)):
             if (sample := reports.take(0.0)) is not None:
                 self._hear(sample)
+
+    def _look(self, bus: Bus) -> None:
+        """What is seen once a second, after what moves has been shown."""
         self._scene.age(self._clock.now_ns())
         self._pictures.end_idle()
         self._show(self._overview(bus))

@@ -101,6 +101,7 @@ def fed(
     for node in unreadable.keys() & inputs.site.cameras.keys():
         pipeline.arrivals.unreadable[node] = unreadable.pop(node)
     pipeline.arrivals.misdescribed |= found.misdescribed
+    pipeline.arrivals.clocks |= found.clocks.apart(inputs.site)
     if not robots and (unsound := unreadable.values()):
         raise OperationError(
             f"{source}: no odometry can be used ({'; '.join(unsound)}); mend what sends it, and "

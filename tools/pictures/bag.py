@@ -50,6 +50,8 @@ _CONVERSIONS: dict[str, tuple[int, int, int | None]] = {
     "bayer_gbrg16": (2, 1, cv2.COLOR_BayerGR2GRAY),
     "bayer_grbg16": (2, 1, cv2.COLOR_BayerGB2GRAY),
 }
+# Other planes follow these. Rows are filled up to so many bytes at most.
+_PLANES, _WIDEST_FILL = ("nv12", "nv21", "nv24", "i420"), 512
 # Formats of compressed messages that hold no pictures, and what to do.
 _NO_PICTURES = {
     "compresseddepth": "that is depth, not a picture; name the topic of the camera's pictures",
@@ -119,6 +121,7 @@ def _rows(image: RawImage, pixel: int) -> np.ndarray:
     """The bytes of a picture, (height, width · `pixel`), without what fills its rows; drivers that
     do not set `step` mean rows that are not filled."""
     width, height, size = image.width * pixel, image.height, image.data.size
+    _check_rows(image, width)
     for step in (image.step, width):
         if min(width, height) > 0 and step >= width and size >= step * (height - 1) + width:
             rows = image.data[: step * height]
@@ -129,13 +132,29 @@ def _rows(image: RawImage, pixel: int) -> np.ndarray:
     )
 
 
+def _check_rows(image: RawImage, width: int) -> None:
+    """Raise MessageError where there is as much as for rows of several times as many bytes as
+    `width`, which is more than fills them: the encoding is another one."""
+    if image.encoding.lower() in _PLANES:
+        return
+    times = image.data.size // max(width * image.height, 1)
+    if width > _WIDEST_FILL and times > 1 and image.step in (width, times * width):
+        samples = f"{image.width} × {image.height} pixels of {image.encoding}"
+        raise MessageError(
+            f"its {counted(image.data.size, 'byte')} are {times} times {samples}; name the "
+            "encoding that it has"
+        )
+
+
 def _only(path: Path, bag: Bag) -> list[str]:
     found = bag.pictures()
     if len(found) == 1:
         return found
-    known = ", ".join(found or sorted(bag.topics))
     if found:
-        text = f"there are several topics with pictures ({known}); name one with --topic"
+        names = ", ".join(found)
+        text = f"there are several topics with pictures ({names}); name one with --topic"
     else:
-        text = f"no topic in it has pictures (it has {known}); give a bag with a camera's"
+        text = f"no topic in it has pictures (it has {bag.known}); give a bag with a camera's"
+        if bag.is_foreign:
+            text += ", or where these are pictures, convert it to ROS 2's CDR"
     raise InputError(f"{path}: {text}")

@@ -11,7 +11,7 @@ import numpy as np
 import typer
 from msgspec import Struct
 
-from trigpoint.base.errors import InputError
+from trigpoint.base.errors import InputError, writing
 from trigpoint.base.words import counted
 from trigpoint.contract.messages import FaceSighting
 from trigpoint.edge.detector import detector_for
@@ -92,8 +92,7 @@ def main(
                 typer.echo(f"{target}: {line}", err=True)
         said.update(detector.misdescribed)
         if draw is not None:
-            file = draw / f"{still.stem}.png"
-            cv2.imwrite(str(file), draw_faces(still.picture, faces))
+            _write(draw / f"{still.stem}.png", draw_faces(still.picture, faces))
     for line in (*account.lines(), total.line):
         typer.echo(line, err=True)
     if total.is_nothing and not said:
@@ -212,6 +211,11 @@ def _make_folder(folder: Path) -> None:
     except OSError as reason:
         text = f"{folder}: this folder cannot be made ({reason.strerror}); give another --draw"
         raise InputError(text) from None
+
+
+def _write(file: Path, picture: np.ndarray) -> None:
+    with writing(file):
+        file.write_bytes(cv2.imencode(".png", picture)[1].tobytes())
 
 
 def _json(still: Still, faces: tuple[FaceSighting, ...], milliseconds: float) -> str:

@@ -117,6 +117,15 @@ def _names(path: Path, bag: Bag, roles: Sequence[Role], inputs: Inputs) -> Mappi
             f"{path}: no --topic names the odometry of a robot; there is {', '.join(odometry)}:"
             f" add --topic {robot}={odometry[0]}"
         )
+    seen = (*PICTURES, SIGHTINGS)
+    if not any(bag.topics.get(topic) in seen for topic in names) and (
+        given := sorted(topic for topic, kind in bag.topics.items() if kind in seen)
+    ):
+        camera = next(iter(site.cameras), "c1")
+        raise InputError(
+            f"{path}: no --topic names what a camera saw; there is {', '.join(given)}: add "
+            f"--topic {camera}={given[0]}"
+        )
     return names
 
 

@@ -11,10 +11,16 @@ from trigpoint.base.words import counted, numberless
 from trigpoint.contract import cdr, cdr_layout, topics
 from trigpoint.contract.clock_doubt import DoubtFilter
 from trigpoint.contract.messages import Diagnostics, Message, Odometry, Sightings, stamped
+from trigpoint.fusion.intake.arrivals import Span
 from trigpoint.fusion.model.readings import Readings
 from trigpoint.recorder.session.recording import RecordedSample, Recording
 
+from .recorded_clocks import RecordedClocks
+
 _MOST_TIMES = 3
+_TOO_EARLY = (
+    "header.stamp is 0, and the others' clock counts from 0 (`use_sim_time`): it had not begun"
+)
 # Odometry of a robot that is read at once, in messages; their bytes are held until then.
 _BLOCK = 4096
 _TOPICS = (topics.CAMERA_INFO, topics.ODOMETRY, topics.SIGHTINGS, topics.DIAGNOSTICS)
@@ -27,25 +33,47 @@ class SessionMessages:
     def __init__(self) -> None:
         self.misdescribed: dict[str, str] = {}
         self.robots: set[str] = set()
+        self.clocks = RecordedClocks()
+        self._unstamped: list[tuple[str, Odometry | Sightings, int, int]] = []
         self._found: list[tuple[int, bool, int, str, Message | int]] = []
         self._odometry: dict[str, list[Readings]] = {}
         self._refused: dict[tuple[str, str, str], tuple[str, list[int]]] = {}
 
     def add(self, node: str, message: Message, log_ns: int, *, order: int) -> None:
         """Take a message of a camera or robot that was recorded at `log_ns`, as the `order`-th."""
-        stamp_ns = 0
-        if isinstance(message, Odometry | Sightings):
-            message = stamped(message, log_ns)
-            stamp_ns = message.stamp_ns
-        if isinstance(message, Diagnostics):
-            stamp_ns = message.stamp_ns
         if isinstance(message, Odometry):
             self.robots.add(node)
+        if isinstance(message, Odometry | Sightings) and message.stamp_ns:
+            self.clocks.add(node, [message.stamp_ns], [log_ns])
+        elif isinstance(message, Odometry | Sightings):
+            self._unstamped.append((node, message, log_ns, order))
+            return
+        self._add(node, message, order)
+
+    def _add(self, node: str, message: Message, order: int) -> None:
+        is_stamped = isinstance(message, Odometry | Sightings | Diagnostics)
+        stamp_ns = message.stamp_ns if is_stamped else 0
         self._found.append((stamp_ns, isinstance(message, Sightings), order, node, message))
 
-    def add_run(self, robot: str, readings: Readings, *, orders: Sequence[int]) -> None:
-        """Take odometry of a robot, each message as which one it was recorded."""
+    def _settle(self) -> None:
+        """Take what has no stamp at the time of its recording, unless a clock that counts from 0
+        stamps the others: it was sent before that began."""
+        waiting, self._unstamped = self._unstamped, []
+        for node in dict.fromkeys(node for node, *_ in waiting):
+            stamps_ns = [stamp for stamp, *_, name, _ in self._found if name == node and stamp]
+            span = Span(min(stamps_ns), max(stamps_ns)) if stamps_ns else None
+            for _, message, log_ns, order in (one for one in waiting if one[0] == node):
+                if span and span.counts_from_start:
+                    self.refuse(node, node, log_ns, MessageError(_TOO_EARLY))
+                else:
+                    self._add(node, stamped(message, log_ns), order)
+
+    def add_run(
+        self, robot: str, readings: Readings, *, orders: Sequence[int], logs_ns: Sequence[int]
+    ) -> None:
+        """Take odometry of a robot, each message as which one, and when, it was recorded."""
         self.robots.add(robot)
+        self.clocks.add(robot, readings.stamps_ns.tolist(), logs_ns)
         before = self._odometry.setdefault(robot, [])
         each = zip(readings.stamps_ns.tolist(), orders, strict=True)
         rows = enumerate(each, start=sum(map(len, before)))
@@ -60,12 +88,14 @@ class SessionMessages:
     @property
     def count(self) -> int:
         """How many were taken."""
+        self._settle()
         return len(self._found)
 
     @property
     def in_order(self) -> Iterator[tuple[str, Message | Readings]]:
         """(camera or robot, message, or odometry without others between) in stamp order, lenses
         first."""
+        self._settle()
         found = sorted(self._found, key=lambda each: each[:3])
         odometry = {robot: Readings.joined(some) for robot, some in self._odometry.items()}
         for robot, some in groupby(found, lambda each: each[3] if isinstance(each[4], int) else ""):
@@ -84,6 +114,7 @@ class SessionMessages:
 
     def unsound(self, *nodes: str) -> list[str]:
         """What was left out, of some cameras and robots or all, by topic and what is wrong."""
+        self._settle()
         return [
             f"{counted(len(times), 'message')} of {topic}: {reason} ({_words(times)})"
             for (node, topic, _), (reason, times) in self._refused.items()
@@ -120,7 +151,8 @@ def _take_odometry(
     """Take messages of a robot as a run, or one by one if not all are sound, stamped and alike."""
     read = cdr_layout.odometry_run([sample.payload for _, sample in block])
     if read is not None and read[0].all():
-        found.add_run(robot, Readings(*read), orders=[order for order, _ in block])
+        orders, logs_ns = zip(*((order, sample.log_ns) for order, sample in block), strict=True)
+        found.add_run(robot, Readings(*read), orders=orders, logs_ns=logs_ns)
         return
     for order, sample in block:
         _take(found, order, sample)

@@ -167,10 +167,10 @@ def _node(status: DiagnosticStatus, is_alive: bool) -> NodeStatus:
         if dot and kind in numbers:
             numbers[kind][stem] = number_said(text)
         elif not dot and name not in _NO_GAUGES:
-            if _is_number(text):
-                gauges[name] = number_said(text)
-            else:
+            if (number := _number(text)) is None:
                 words[name] = text
+            else:
+                gauges[name] = number
     state = STATES[status.level] if is_alive else "gone"
     return NodeStatus(
         name=status.name,
@@ -190,18 +190,18 @@ def _node(status: DiagnosticStatus, is_alive: bool) -> NodeStatus:
     )
 
 
-def _is_number(text: str) -> bool:
+def _number(text: str) -> float | None:
+    """A number sent by another node, 0 where it cannot be meant; None if it is no number."""
     try:
-        float(text)
+        value = float(text)
     except ValueError:
-        return False
-    return True
+        return None
+    return value if abs(value) < 1e15 else 0.0
 
 
 def number_said(text: str) -> float:
     """A number sent by another node; 0 if it is not a number."""
-    value = float(text) if _is_number(text) else 0.0
-    return value if abs(value) < 1e15 else 0.0
+    return _number(text) or 0.0
 
 
 def table(status: SiteStatus, *, width: int = 100) -> str:

@@ -13,6 +13,8 @@ from trigpoint.site.toml_file import checked
 from trigpoint.tools.shapes.text import target_text
 
 _EQUAL_SHARE = 1e-6
+# Of a tag: one of its ten cells has to fit between two, or they do not stand out.
+_LEAST_SPACING = 1 / 10
 # Kalibr's only family, with its borders of two cells.
 _DICTIONARY = "DICT_APRILTAG_36h11"
 _BORDER_BITS = 2
@@ -40,6 +42,12 @@ class _AprilGrid(Struct, rename="camel"):
     code_offset: Annotated[int, Meta(ge=0)] = 0
 
     def face(self) -> Face:
+        if self.tag_spacing < _LEAST_SPACING:
+            share = self.tag_spacing / self.tag_size
+            raise ValueError(
+                f"tagSpacing is {self.tag_spacing:g}, which leaves no room between the tags: it "
+                f"is a share of tagSize; if it was written in metres, {share:.3g} is meant"
+            )
         return Face(
             0,
             Pattern.APRILGRID,

@@ -307,16 +307,11 @@ def _status(payload: bytes, position: int) -> tuple[DiagnosticStatus, int]:
     level = payload[position]  # an octet, as ROS reads it; rosbags reads it as signed
     if level > MOST_LEVEL:
         raise ValueError
-    name, position = _text(payload, position + 1)
-    message, position = _text(payload, position)
-    hardware, position = _text(payload, position)
+    (name, message, hardware), position = _texts(payload, position + 1, 3)
     position = _aligned(position, 4)
     (pairs,) = COUNT.unpack_from(payload, position)
-    position += COUNT.size
-    values: dict[str, str] = {}
-    for _ in range(pairs):
-        key, position = _text(payload, position)
-        values[key], position = _text(payload, position)
+    texts, position = _texts(payload, position + COUNT.size, 2 * pairs)
+    values = dict(zip(texts[::2], texts[1::2], strict=True))
     return DiagnosticStatus(level, name, message, hardware, values), position
 
 
@@ -357,15 +352,17 @@ def _string(payload: bytes, position: int) -> tuple[str, int]:
     return payload[start : end - 1].decode(), end
 
 
-def _text(payload: bytes, position: int) -> tuple[str, int]:
-    """A string of any length and the position after it; IndexError, ValueError or struct.error if
-    it is not one."""
-    start = _aligned(position, 4) + COUNT.size
-    (length,) = COUNT.unpack_from(payload, start - COUNT.size)
-    end = start + length
-    if end <= start or payload[end - 1]:
-        raise ValueError
-    return payload[start : end - 1].decode(), end
+def _texts(payload: bytes, position: int, count: int) -> tuple[list[str], int]:
+    """So many strings of any length and the position after them; IndexError, ValueError or
+    struct.error if they are none."""
+    length_at, texts = COUNT.unpack_from, list[str]()
+    for _ in range(count):  # each takes bytes, of which there are only so many
+        start = (position + 3 & -4) + COUNT.size
+        position = start + length_at(payload, start - COUNT.size)[0]
+        if position <= start or payload[position - 1]:
+            raise ValueError
+        texts.append(payload[start : position - 1].decode())
+    return texts, position
 
 
 def _aligned(position: int, size: int) -> int:

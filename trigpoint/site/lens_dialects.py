@@ -37,6 +37,22 @@ _PREFIXES = ("", "camera", "camera1")
 _UNNAMED = ("", "pinhole", "perspective", "standard", "camera")
 """Names of a projection that leave the distortion open."""
 _CONVERT = "write image_width, image_height, camera_matrix and distortion_coefficients as ROS does"
+# What no reader here takes, by how it begins, and what to do.
+_BEGIN = 2000
+_OTHERS = (
+    (
+        "CAMERA_ID, MODEL",
+        "COLMAP's, whose first pixel has its centre at (0.5, 0.5); take 0.5 off cx and cy, and "
+        f"{_CONVERT}",
+    ),
+    (
+        "cameraParameters with properties",
+        "what MATLAB prints; in MATLAB: writelines(jsonencode(toStruct(cameraParams)), 'c1.json')",
+    ),
+    (r"^\s*(fc|cc|kc) = \[", f"Bouguet's Calib_Results.m; {_CONVERT}"),
+    (r"lensmodel['\"]?\s*:\s*['\"]LENSMODEL_", f"mrcal's; {_CONVERT}"),
+    ("<projection>frame</projection>", "Metashape's; save it there as «OpenCV Camera Calibration»"),
+)
 _LATER = "; «trigpoint intrinsics» makes one from pictures"
 
 
@@ -179,15 +195,15 @@ def _named_model(found: _Keys) -> LensModel | None:
         return LensModel.EQUIDISTANT
     values = [_only(found.values.get(name)) for name in _MODEL]
     named = [value for value in values if value is not None and _plain(value) not in _UNNAMED]
-    try:
-        models = [LensModel(value) for value in named]
-    except ValueError:
-        known = ", ".join(LensModel)
-        raise InputError(
-            f"{found.file}: distortion_model «{'», «'.join(map(str, named))}» is not known; use "
-            f"one of {known}{_LATER}"
-        ) from None
-    return models[0] if models else None
+    for value in named:
+        try:
+            LensModel(value)
+        except ValueError:
+            raise InputError(
+                f"{found.file}: the lens model «{value}» is not known; use one of "
+                f"{', '.join(LensModel)}{_LATER}"
+            ) from None
+    return LensModel(named[0]) if named else None
 
 
 def _model_of(found: _Keys, used: int) -> LensModel:
@@ -261,14 +277,12 @@ def _mappings(value: Any) -> Iterator[dict[str, Any]]:
 def _document(text: str, file: str) -> dict[str, Any]:
     """The mapping in a text, by what it looks like."""
     start = text.lstrip()
+    for pattern, words in _OTHERS:
+        if re.search(pattern, start[:_BEGIN], re.MULTILINE):
+            raise InputError(f"{file}: this is {words}")
     document: Any = None
     if start.startswith("<"):
         document = _of_xml(start, file)
-    elif "CAMERA_ID, MODEL" in start[:1000]:
-        raise InputError(
-            f"{file}: this is COLMAP's, whose first pixel has its centre at (0.5, 0.5); "
-            f"take 0.5 off cx and cy, and {_CONVERT}"
-        )
     elif re.search(r"^\[image\]\s*$", start, re.MULTILINE):
         document = _of_ini(start)
     else:

@@ -112,7 +112,10 @@ class Face(Struct, frozen=True, forbid_unknown_fields=True):
             if getattr(self, key) is None:
                 raise ValueError(f"a {self.pattern.value} face needs the key «{key}»; add it")
         if self.marker is not None and self.marker >= self.square:
-            raise ValueError("the marker must be smaller than the square (or the pitch)")
+            raise ValueError(
+                f"the marker ({self.marker:g} m) must be smaller than the square, or the pitch "
+                f"({self.square:g} m); both are in metres"
+            )
 
     @property
     def base_from_face(self) -> Pose:

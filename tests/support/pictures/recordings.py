@@ -24,12 +24,13 @@ def write(
     first_s: int = 1000,
     topic: str = TOPIC,
     encoding: str = "cdr",
+    definition: bytes = cdr.definition(PICTURE).encode(),
     **options: Any,
 ) -> Path:
     """A file of pictures, a second apart."""
     writer = Writer(str(file), **options)
     writer.start(profile="ros2", library="theirs")
-    schema = writer.register_schema(PICTURE, "ros2msg", cdr.definition(PICTURE).encode())
+    schema = writer.register_schema(PICTURE, "ros2msg", definition)
     channel = writer.register_channel(topic, encoding, schema)
     for number, payload in enumerate(payloads):
         time_ns = (first_s + number) * 10**9

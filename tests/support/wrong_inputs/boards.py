@@ -65,13 +65,13 @@ _READ: tuple[Answer, ...] = (
     lambda left, right: b"%d %d\n" % (left, right),
     lambda left, right: b"%d %d \r\n" % (left, right),
     lambda left, right: b"%d %d\r\r\n" % (left, right),
-    lambda left, right: b"%d %d %d %d\r\n" % (left, right, left, right),
 )
 """Dialects that say two counts."""
 _REFUSED: Mapping[str, Answer] = {
     "Invalid Command": lambda _left, _right: b"Invalid Command\r\n",
     "counts: ": lambda left, right: b"counts: %d / %d\r\n" % (left, right),
     "hello": lambda _left, _right: b"hello from the motor board\r\n",
+    'order = "lrlr"': lambda left, right: b"%d %d %d %d\r\n" % (left, right, left, right),
 }
 """Dialects that do not, by what is to be shown of them."""
 

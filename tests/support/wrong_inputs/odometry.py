@@ -66,13 +66,27 @@ def stamped(odometry: Any, stamp_ns: int) -> None:
 
 
 def two_clocks(folder: Path, random: np.random.Generator) -> Case:
-    """Odometry by a simulator's clock, or by one that is years or hours off."""
+    """Odometry by a simulator's clock, which may not have begun at first, or by one that is years
+    or hours off."""
     begin_ns = int(random.choice([0, to_ns(1e3), to_ns(1.6e9), to_ns(1.7e9 - 9e3)]))
+    waits = int(random.integers(0, 5))
 
     def change(number: int, odometry: Any) -> None:
-        stamped(odometry, begin_ns + to_ns(0.1 * (number + 1)))
+        stamped(odometry, begin_ns + to_ns(0.1 * max(0, number - waits)))
 
     return Case(calibrated(folder, change), (1,), (r"overlap|clock|sim(ulat\w+)? ?time",))
+
+
+def overlapping_clocks(folder: Path, random: np.random.Generator) -> Case:
+    """Odometry that is seconds off, so that pictures are held against it all the same."""
+    by_s = float(random.uniform(2, 9)) * float(random.choice([-1, 1]))
+
+    def change(_number: int, odometry: Any) -> None:
+        stamp = odometry.header.stamp
+        stamped(odometry, stamp.sec * 10**9 + stamp.nanosec + to_ns(by_s))
+
+    says = (r"\d\.\d s (ahead of|behind) those of c1", "clocks")
+    return Case(calibrated(folder, change), (0, 1), says)
 
 
 def zero_stamps(folder: Path, random: np.random.Generator) -> Case:
@@ -200,4 +214,5 @@ ODOMETRY: Mapping[str, Kind] = {
     "other axes or another order": other_conventions,
     "other units": other_units,
     "odometry against the pictures": against_the_pictures,
+    "two clocks that overlap": overlapping_clocks,
 }

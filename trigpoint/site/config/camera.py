@@ -49,6 +49,12 @@ class CameraConfig(Struct, frozen=True, forbid_unknown_fields=True):
         if not separator or not scheme:
             known = ", ".join(f"{name}://" for name in _PICTURE_SCHEMES)
             raise ValueError(f"source «{self.source}» is no URL; write one of {known}")
+        if self.horizontal_fov <= math.pi:  # no camera looks at a robot through a telescope
+            degrees = math.degrees(self.horizontal_fov)
+            raise ValueError(
+                f"horizontal_fov is {self.horizontal_fov:g}, and in degrees; if that is in "
+                f"radians, write {degrees:.1f}"
+            )
         if not abs(self.line_delay) <= _LONGEST_LINE_DELAY_S:
             raise ValueError(
                 f"line_delay is {self.line_delay:g} s from one row to the next; 30 µs is 30e-6"

@@ -10,6 +10,7 @@ from msgspec.structs import replace
 from support.builders import make_site
 
 from trigpoint.base.clock import ManualClock
+from trigpoint.bus.bus import Latest, Sample
 from trigpoint.contract import cdr, topics
 from trigpoint.contract.cdr import encode
 from trigpoint.contract.messages import (
@@ -21,6 +22,7 @@ from trigpoint.contract.messages import (
     PoseEstimate,
     PoseStamped,
 )
+from trigpoint.contract.topics import Topic
 from trigpoint.geometry import Pose
 from trigpoint.metrics.families import families
 from trigpoint.site.config import Site
@@ -195,6 +197,33 @@ def test_a_report_with_a_level_that_is_none_does_not_end_the_reader() -> None:
     entities, reader = shown(say)
     assert entities["robot/r1"]["at"] == [1.0, 2.0, 0.5]
     assert reader.health.total("rejected") == 1
+
+
+def test_many_reports_at_once_do_not_hold_up_what_moves(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They are all heard within two seconds, and between two looks at what moves only a part."""
+    heard, most, count = [0], [0], 200
+    hear, read = Reader._hear, Reader._read
+
+    def counted(reader: Reader, sample: Sample) -> None:
+        heard[0] += 1
+        hear(reader, sample)
+
+    def between(reader: Reader, latest: list[tuple[Topic, Latest]]) -> None:
+        most.append(heard[0])
+        read(reader, latest)
+
+    monkeypatch.setattr(Reader, "_hear", counted)
+    monkeypatch.setattr(Reader, "_read", between)
+
+    def say(bus: MemoryBus) -> None:
+        publisher = bus.publisher(topics.DIAGNOSTICS, topics.DIAGNOSTICS.key(SITE.name))
+        for number in range(count):
+            status = DiagnosticStatus(0, f"edge/c{number}", "", "", {})
+            publisher.put(encode(Diagnostics(1, (status,))))
+
+    shown(say)
+    assert heard[0] == count
+    assert max(np.diff(most)) <= count / 4
 
 
 def test_whom_fusion_corrects_is_known_by_its_report() -> None:

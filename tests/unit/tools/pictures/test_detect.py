@@ -83,6 +83,14 @@ def test_drawings_are_written_without_overwriting_each_other(folder: Path, cli: 
     assert np.ptp(drawn.astype(int), axis=-1).max() > 50
 
 
+def test_a_drawing_that_the_disk_does_not_take_is_an_error(folder: Path, cli: Cli) -> None:
+    drawn = folder / "drawn"
+    drawn.mkdir()
+    (drawn / "a.png").symlink_to("/dev/full")
+    said = detect(cli, folder, folder / "shots", "--draw", drawn, status=1)
+    assert "a.png: cannot be written (No space left on device); make room" in said.err
+
+
 @pytest.mark.parametrize(
     ("name", "data", "status", "said"),
     [

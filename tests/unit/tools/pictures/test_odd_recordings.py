@@ -203,7 +203,20 @@ def test_what_is_no_cdr_is_named_as_what_it_is(
     error = cli.refused("detect", bag, "--target", target, "--topic", TOPIC)
     assert f"{TOPIC} is a {words} message ({PICTURE}) in MCAP" in error
     assert error.count("\n") == 1
-    assert f"{words} message ({PICTURE}) in MCAP" in cli("info", bag).out
+    named = f"{words} message ({PICTURE}) in MCAP"
+    assert named in cli("info", bag).out
+    for other in (["detect", bag, "--target", target], ["review", bag, "--save", "a.rrd"]):
+        error = cli.refused(*other)
+        assert f"{TOPIC} ({named})" in error
+        assert "convert it to ROS 2's CDR" in error
+
+
+@pytest.mark.parametrize("definition", [b"", b"no definition {", b"int32 a\n"])
+def test_what_a_definition_in_the_file_lacks_is_read_by_that_of_ros(
+    tmp_path: Path, target: Path, definition: bytes, cli: Cli
+) -> None:
+    bag = write(tmp_path / "bag.mcap", [SOUND], definition=definition)
+    assert cli("detect", bag, "--target", target).out.count("face 0") == 1
 
 
 def test_messages_that_nobody_counts_have_no_breaks(tmp_path: Path, cli: Cli) -> None:

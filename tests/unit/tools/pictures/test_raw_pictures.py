@@ -56,3 +56,21 @@ def test_raw_picture_keeps_its_brightness(encoding: str) -> None:
     data = np.frombuffer(samples.astype("<u2" if wide else np.uint8).tobytes(), np.uint8)
     image = RawImage(0, encoding, False, 16, 12, data.size // 12 if wide else 16, data)
     assert np.array_equal(grey_of(image), grey.astype(np.uint16) * 16 if wide else grey)
+
+
+@pytest.mark.parametrize("encoding", ["mono8", "bayer_rggb8", "nv12"])
+@pytest.mark.parametrize("times", [1, 3])
+@pytest.mark.parametrize("is_in_step", [False, True])
+def test_rows_of_another_encoding_are_no_picture(
+    encoding: str, times: int, is_in_step: bool
+) -> None:
+    """Colours called grey would be read as a picture a third as wide; planes that follow are."""
+    width, height = 640, 12
+    data = np.zeros(times * width * height, np.uint8)
+    step = times * width if is_in_step else width
+    image = RawImage(0, encoding, False, width, height, step, data)
+    if times == 1 or encoding == "nv12":
+        assert grey_of(image).shape == (height, width)
+        return
+    with pytest.raises(MessageError, match=f"3 times 640 × 12 pixels of {encoding}"):
+        grey_of(image)

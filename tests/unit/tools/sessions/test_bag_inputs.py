@@ -187,6 +187,8 @@ def test_board_that_the_target_file_has_wrong_is_said_by_calibrate(
     bag = write_bag(tmp_path / "bag", StoragePlugin.MCAP, topics)
     words = ["calibrate", bag, "--site", tmp_path / "site.toml", "--topic", "c1=/front/image_raw"]
     assert "add --topic r1=/odom" in cli.refused(*words)
+    alone = cli.refused(*words[:-1], "r1=/odom")
+    assert "no --topic names what a camera saw; there is /front/image_raw: add" in alone
     said = cli(*words, "--topic", "r1=/odom", "--out", tmp_path / "out", status=1)
     assert "c1 is unseen: face 0" in said.err
     assert 'write dictionary = "DICT_4X4_250"' in said.err

@@ -106,7 +106,7 @@ def test_a_message_that_is_no_run_keeps_only_its_block_from_being_one(
 def test_a_run_has_as_many_orders_as_messages() -> None:
     readings = Readings(np.array([1, 2]), Pose.identity().repeated(2))
     with pytest.raises(ValueError, match="shorter"):
-        SessionMessages().add_run("r1", readings, orders=[0])
+        SessionMessages().add_run("r1", readings, orders=[0], logs_ns=[0, 0])
 
 
 def is_odometry(message: Message | Readings) -> bool:

@@ -127,6 +127,40 @@ def test_a_stamp_of_zero_is_the_time_of_recording_and_said(
     assert re.search(r"c1\s+located", said.out)
 
 
+def test_stamps_of_zero_before_a_clock_that_counts_from_zero_are_left_out(
+    recorded: Path, tmp_path: Path, cli: Cli
+) -> None:
+    """Nodes that wait for `/clock` stamp 0; at the time of recording they would hide the cause."""
+
+    def change(number: int, message: Any) -> None:
+        stamp(message, max(0, number - 3) * 20_000_000)
+
+    said = calibrated(cli, recorded, tmp_path, change, status=1)
+    assert "4 messages of r1: header.stamp is 0, and the others' clock counts from 0" in said.err
+    assert re.search(r"is unseen: .*never overlap.*the clock of the odometry counts from", said.err)
+    assert "without a stamp" not in said.err
+
+
+@pytest.mark.parametrize(
+    ("by_s", "words"), [(2.5, "2.5 s ahead of"), (-3.0, "3.0 s behind"), (0.4, "")]
+)
+def test_clocks_that_overlap_and_are_apart_are_told_by_the_times_of_recording(
+    recorded: Path, tmp_path: Path, cli: Cli, by_s: float, words: str
+) -> None:
+    words_ = as_foreign(recorded, tmp_path, shifted(round(by_s * 1e9)), kind=ODOMETRY)
+    said = cli("calibrate", *words_, "--site", tmp_path / "site.toml", "--out", tmp_path / "out")
+    assert ("by when both were recorded" in said.err) is bool(words)
+    assert f"c1: the stamps of r1 are {words} those of c1" in said.err or not words
+
+
+def test_exchanged_frames_of_odometry_are_said(recorded: Path, tmp_path: Path, cli: Cli) -> None:
+    def change(_number: int, message: Any) -> None:
+        message.header.frame_id, message.child_frame_id = "base_link", "odom"
+
+    said = calibrated(cli, recorded, tmp_path, change)
+    assert "robot r1: its odometry says that it is the pose of odom in base_link" in said.err
+
+
 def test_odometry_that_is_none_is_counted_and_the_status_is_1(
     recorded: Path, drive: Session, tmp_path: Path, cli: Cli
 ) -> None:

@@ -44,6 +44,7 @@ def test_markers_beyond_the_dictionary_are_a_problem() -> None:
 
 def test_unknown_dictionary_is_a_problem() -> None:
     assert "face 0: the dictionary «DICT_9X9_3»" in problems(charuco(0, dictionary="DICT_9X9_3"))
+    assert "did you mean «DICT_4X4_50»?" in problems(charuco(0, dictionary="4x4_50"))
 
 
 def test_keys_of_another_pattern_are_a_problem() -> None:

@@ -170,6 +170,7 @@ def test_kalibrs_checkerboard_is_imported_by_its_squares(tmp_path: Path) -> None
         (APRIL.replace("tagSize: 0.088", "tagSize: -1"), "tagSize: expected «float» > 0"),
         (APRIL.replace("tagSize: 0.088", "tagSize: .inf"), "tagSize is inf"),
         (APRIL.replace("tagSpacing: 0.3", "tagSpacing: .inf"), "tagSpacing is inf"),
+        (APRIL.replace("tagSpacing: 0.3", "tagSpacing: 0.0264"), "in metres, 0.3 is meant"),
         (
             CHECKER.replace("rowSpacingMeters: 0.06", "rowSpacingMeters: .inf"),
             "rowSpacingMeters is inf",

@@ -51,6 +51,7 @@ def test_unknown_key_names_line_and_nearest_key() -> None:
         (site_text(more="[robots.r9.odometry]\ndistance = inf"), "odometry.distance is inf"),
         (site_text(more='[cameras.c9]\nsource = "a://b"\nline_delay = 30.0'), "30 µs is 30e-6"),
         (site_text(more='[cameras.c9]\nsource = "a://b"\nline_delay = nan'), "line_delay is nan"),
+        (site_text(more='[cameras.c9]\nsource = "a://b"\nhorizontal_fov = 1.05'), "write 60.2"),
         (site_text(more="[robots.r9.odometry]\ndistance = -1.0"), "robots.r9"),
         (site_text(more='[fusion]\nestimator = "magic"'), "fusion.estimator"),
         (site_text(more="[fusion.priors]\nevent = 0"), "fusion.priors.event"),

@@ -116,7 +116,7 @@ class Bad(Struct, frozen=True):
         Bad("quaternion = [0.5, -0.5, 0.5, -0.5]", "quaternion = [1, 1, 0, 0]", "length is 1.4142"),
         Bad("quaternion = [0.5, -0.5, 0.5, -0.5]", "quaternion = [0.5]", "faces[0].quaternion"),
         Bad("marker = 0.03\n", "", "charuco face needs the key «marker»"),
-        Bad("marker = 0.03", "marker = 0.05", "smaller than the square"),
+        Bad("marker = 0.03", "marker = 0.05", "(0.05 m) must be smaller than the square"),
         Bad('dictionary = "DICT_4X4_100"', "", "needs the key «dictionary»"),
         Bad("id = 1", "id = 0", "two faces have the id 0"),
         Bad('pattern = "charuco"', 'pattern = "dots"', "faces[1].pattern"),
