@@ -48,11 +48,15 @@ class JoinedLog(Closing):
             with self._counting:
                 self._lost += 1
 
-    def close(self) -> None:
-        """Write what was said so far, as far as somebody takes it; the parts have ended."""
+    def drain(self) -> None:
+        """Wait, for a moment at most, until all that ended parts wrote is among the lines."""
         until_s = time.monotonic() + _READ_S
         for pipe in self._pipes:
             pipe.drain(until_s)
+
+    def close(self) -> None:
+        """Write what was said so far, as far as somebody takes it; the parts have ended."""
+        self.drain()
         try:
             self._lines.put(None, timeout=_READ_S)
         except queue.Full:

@@ -55,6 +55,7 @@ def run_parts(specs: Sequence[PartSpec], stream: TextIO) -> None:
             say(f"{counted(len(specs), 'part')} started; Ctrl-C stops all")
             _watch(supervisor, log, stop)
             say("stopping, in order")
+        log.drain()
         say("all parts have ended")
 
 
