@@ -15,7 +15,6 @@ from trigpoint.geometry.rotation import Array
 
 from .contradictions import contradictions
 from .corner_squares import refined
-from .layouts import as_well
 from .marked_board import MarkedBoard
 from .marker_groups import LEAST_MEMBER, MarkerGroup, group_markers
 from .markers import reader_key, readers_for, whole_reader
@@ -24,8 +23,6 @@ from .quads import QuadFinder
 
 # After so many groups of markers that the picture denied, the lighter ones are no boards either.
 MOST_REFUSED = 3
-# So often a board is seen in parts that tell no layout before that is said.
-LEAST_HELD = 3
 # So many markers make a group that shows plainly.
 LEAST_PLAIN = 2
 
@@ -51,9 +48,6 @@ class MarkedSearch(FaceFinder):
         self._denied: list[Located] = []  # of the last picture
         self._quads = 0  # in the last picture
         self._compared: dict[Appearance, set[int]] = {}
-        # Looks of which a picture fitted no other layout; of the others, how many did and which.
-        self._told: set[Appearance] = set()
-        self._held: dict[Appearance, list[str]] = {}
 
     def locate(
         self, grey: np.ndarray, is_over: IsOver, within: Region | None = None
@@ -78,7 +72,7 @@ class MarkedSearch(FaceFinder):
         denied = {board.look for board in self._denied} - {board.look for board in found}
         if denied or not (found or within or is_over()):
             self._wrong.look(grey, denied, is_over, quads=self._quads)
-        self.misdescribed = tuple((self._open_layouts | self._wrong.lines).values())
+        self.misdescribed = tuple(self._wrong.lines.values())
         return [board for board in found if board.look not in self._wrong.refused]
 
     def follow(
@@ -114,26 +108,6 @@ class MarkedSearch(FaceFinder):
         self._compared.setdefault(board.look, set()).update(found.corners.tolist())
         reader = self._whole[reader_key(board.face)]
         return contradictions(grey, board, found, quads, reader).are_plain
-
-    def _tells_layout(self, board: MarkedBoard, numbers: np.ndarray) -> bool:
-        """Whether markers (k,), or a picture before, fit no other layout than the file's."""
-        if board.look not in self._told:
-            if other := as_well(board.look.face, numbers):
-                self._held.setdefault(board.look, []).append(other)
-                return False
-            self._told.add(board.look)
-            self._held.pop(board.look, None)
-        return True
-
-    @property
-    def _open_layouts(self) -> dict[Appearance, str]:
-        """What to say of looks of which several pictures showed parts that tell no layout."""
-        return {
-            look: f"{look.words}: as far as the pictures show this board, it may as well be with "
-            f"{others[-1]}, so it is not used until they show more of it"
-            for look, others in self._held.items()
-            if len(others) >= LEAST_HELD
-        }
 
     def _board_of(self, last: Located) -> MarkedBoard:
         """What a face was taken for."""
@@ -189,11 +163,9 @@ class MarkedSearch(FaceFinder):
                 self._denied.append(Located(board.look, measured, board.variant))
                 taken.update(group.quads.tolist())
             else:
-                taken.update(group.quads.tolist())
-                if not self._tells_layout(board, group.numbers):
-                    continue
                 board, measured = refined(grey, board, measured, is_over)
                 found.append(Located(board.look, measured, board.variant))
+                taken.update(group.quads.tolist())
                 seen.update([id(board.look)] if board.look.is_unique else [])
         return found
 

@@ -68,9 +68,10 @@ def _of(look: Appearance, known: Container[object]) -> Iterator[Reading]:
     """What people get wrong comes together: a board that is described after another one."""
     alike: list[tuple[int, Reading]] = []
     for is_mirrored, read in product((False, True), _readings(look.face)):
-        is_usual = read.keys() <= _usual(look.face)
-        changes = [read | placed for placed in changes_of_places(look.face) if is_usual]
-        faces = [(changed(look.face, change), change) for change in changes]
+        changes = [
+            read | placed for placed in _places(look.face) if read.keys() <= _usual(look.face)
+        ]
+        faces = [(_changed(look.face, change), change) for change in changes]
         found = tuple(
             Other(look, face, tuple(change.items()), is_mirrored)
             for face, change in faces
@@ -82,7 +83,7 @@ def _of(look: Appearance, known: Container[object]) -> Iterator[Reading]:
         yield found
 
 
-def changes_of_places(face: Face) -> tuple[dict[str, object], ...]:
+def _places(face: Face) -> tuple[dict[str, object], ...]:
     """Changes that leave every marker as it is, and have it elsewhere; none first."""
     exchanged: dict[str, object] = {"columns": face.rows, "rows": face.columns}
     if face.pattern is Pattern.CHARUCO:
@@ -107,7 +108,7 @@ def _readings(face: Face) -> Iterator[dict[str, object]]:
         yield dictionary | printed
 
 
-def changed(face: Face, change: dict[str, object]) -> Face | None:
+def _changed(face: Face, change: dict[str, object]) -> Face | None:
     """The face changed; None where its dictionary cannot hold it, or it cannot be."""
     typed = {
         key: Numbering(value) if key == "numbering" else value for key, value in change.items()
