@@ -138,9 +138,11 @@ class TargetTracker:
         *,
         budget_s: float | None = None,
         clock: Clock | None = None,
+        rests: bool = True,
     ) -> None:
         """`budget_s`: how long a picture may take; work left by then is given up. Without a budget,
-        the work is bounded by counts alone. Raises TargetError."""
+        the work is bounded by counts alone. `rests`: whether not every picture is searched where
+        nothing changes. Raises TargetError."""
         self._finders = finders_for(targets)
         self._budget_ns = None if budget_s is None else round(budget_s * 1e9)
         self._clock = clock or SystemClock()
@@ -149,7 +151,7 @@ class TargetTracker:
         self._looked_ns = 0
         self._outlines: list[Array] = []
         self._shape: tuple[int, ...] = ()
-        self._stillness = Stillness()
+        self._rests, self._stillness = rests, Stillness()
         self.given_up = 0
 
     @property
@@ -197,7 +199,7 @@ class TargetTracker:
         fresh = sum(track.misses == 0 for track in self._tracks)
         if self._searched_ns is None or len(found) < fresh:
             return True
-        if not found and not self._stillness.lasts(grey, stamp_ns):
+        if not found and not (self._rests and self._stillness.lasts(grey, stamp_ns)):
             return True
         return stamp_ns - self._searched_ns >= SEARCH_EVERY_NS
 

@@ -193,7 +193,8 @@ class Graph:
             last = int(np.searchsorted(path.stamps_ns, max(stamps, default=0)))
             for step in range(self.node_of[number], min(last, len(path.stamps_ns) - 1)):
                 pictures = self._on_the_way(step, number)
-                key = number, keys[number], *path.stamps_ns[step : step + 2].tolist(), *pictures
+                ends = *path.stamps_ns[step : step + 2].tolist(), float(path.log_covariance[step])
+                key = number, keys[number], *ends, *pictures
                 if key in before:
                     one = before[key]
                 else:

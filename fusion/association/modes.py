@@ -85,26 +85,34 @@ class ModeFinder:
             return [whole]
         start, end = right
         cut = start if self._sightings(visit.indices[:start]) > 1 else end
-        if self._sightings(visit.indices[:start] if cut == start else visit.indices[end:]) > 1:
+        other = visit.indices[:start] if cut == start else visit.indices[end:]
+        if self._sightings(other) > 1 or not whole.modes:
             parts = visit.part(self.observations, 0, cut), visit.part(self.observations, cut, None)
-        else:
+        elif self._sightings(visit.indices[start:end]) > 1 and self._all_wrong(whole, other):
             parts = (visit.within(self.observations, start, end),)
+        else:  # which of them is wrong, other visits tell
+            return [whole]
         return [each for part in parts for each in self.parts_of(part, most=most - 1)]
 
     def _right(self, found: VisitModes) -> tuple[int, int] | None:
         """Between which of a visit's pictures the first and the last lie that do not contradict its
         best mode; None where its chosen ones begin and end with such. Where nothing fits, the first
         half: a part may be right."""
-        count = len(found.visit.indices)
+        indices, chosen = found.visit.indices, found.visit.chosen
         if not found.modes:
-            return (0, (count + 1) // 2) if count > 1 else None
-        chosen, readings = found.visit.chosen, found.modes[0].readings
+            is_whole = (chosen[0], chosen[-1]) == (indices[0], indices[-1]) and len(indices) > 1
+            return (0, (len(indices) + 1) // 2) if is_whole else None
+        readings = found.modes[0].readings
         if not (_is_wrong(readings[chosen[0]]) or _is_wrong(readings[chosen[-1]])):
             return None
-        indices = found.visit.indices
+        self.memory.budget.spend_completing(pictures=len(indices) - len(chosen))
         readings = self.completed(found.visit, found.modes[0]).readings
         right = [order for order, index in enumerate(indices) if not _is_wrong(readings[index])]
         return right[0], right[-1] + 1
+
+    def _all_wrong(self, found: VisitModes, indices: Iterable[int]) -> bool:
+        """Whether every mode that chose among these pictures takes them as wrong."""
+        return all(_is_wrong(mode.readings.get(i, ())) for mode in found.modes for i in indices)
 
     def _sightings(self, indices: Iterable[int]) -> int:
         return sum(len(self.observations[index].views) for index in indices)
@@ -181,7 +189,6 @@ class ModeFinder:
         poses, drifts = self._between(visit, mode)
         rows = np.flatnonzero([index not in mode.readings for index in visit.indices])
         others = [visit.indices[row] for row in rows]
-        self.memory.budget.spend_completing(pictures=len(others))
         reader = PictureReader(self.data, visit.robot, mode.camera, self.events, mode.faces)
         read = reader.read([self.observations[i] for i in others], poses[rows], drifts[rows])
         readings, wild = dict(mode.readings), dict(mode.wild)

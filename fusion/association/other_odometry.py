@@ -20,8 +20,8 @@ from .noise import PESSIMISTIC
 from .visits import visits_of
 from .world import World
 
-# For all explanations together: of the budget for the session's length, each an equal part; and how
-# many of the visits, those with the most pictures.
+# For all explanations together: of the budget for the session's length; and how many of the visits,
+# those with the most pictures.
 _SHARE, _MOST_VISITS = 0.1, 12
 # Each of the two explanations may be off by as much as decides.
 _CLEAR = 2 * window()
@@ -42,14 +42,14 @@ def mirrored(data: DataSet) -> list[str]:
     every.sort(key=lambda observation: observation.stamp_ns)
     draft, memory = data.draft(), Memory()
     robots = dict.fromkeys(observation.robot for observation in every)
-    share = _SHARE / (1 + len(robots))
-    told = _score(draft, every, memory, share)
+    memory.budget = Budget.of(draft.tracks.values(), share=_SHARE)
+    told = _score(draft, every, memory)
     if not np.isfinite(told):
         return []
     found = list[str]()
     for robot in robots:
         tracks = draft.tracks | {robot: draft.tracks[robot].retold(_MIRROR)}
-        if _score(replace(draft, tracks=tracks), every, memory, share) + _CLEAR < told:
+        if _score(replace(draft, tracks=tracks), every, memory) + _CLEAR < told:
             found.append(robot)
     return found
 
@@ -60,13 +60,13 @@ def _fresh(data: DataSet, seen: Observation) -> Observation:
     return replace(seen, camera=camera, chosen=None, verdict=Verdict.PENDING, outliers=())
 
 
-def _score(data: DataSet, observations: list[Observation], memory: Memory, share: float) -> float:
-    """The score of what explains observations best, inf where this share of the budget does not
-    suffice; `memory`: of which only what holds for any odometry is used."""
+def _score(data: DataSet, observations: list[Observation], memory: Memory) -> float:
+    """The score of what explains observations best, inf where the budget does not suffice;
+    `memory`: of which only that and what holds for any odometry is used."""
     events = Events(data.site.fusion.priors)
     visits = sorted(visits_of(data, observations), key=lambda visit: -len(visit.indices))
     noise = SessionNoise(dict.fromkeys(data.site.robots, PESSIMISTIC))
-    own = Memory(Budget.of(data.tracks.values(), share=share), memory.alone)
+    own = Memory(memory.budget, memory.alone)
     visits = visits[:_MOST_VISITS]
     world = World(data, observations, events, noise, own, visits, is_draft=True)
     return np.inf if own.budget.is_spent else world.score

@@ -174,6 +174,8 @@ class Search:
         if isinstance(which, int):
             return self.visits[which].is_one_picture
         camera, place = which
+        if not place and camera in self.graph.data.known.poses:
+            return False
         mine = of_camera(hypothesis, self.visits, camera)
         there = [n for n in mine if hypothesis.place_of(n) == place]
         return len(there) == 1 and self.visits[there[0]].is_one_picture

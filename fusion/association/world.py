@@ -86,9 +86,10 @@ class World:
 
     def _settled_cameras(self) -> set[str]:
         """The cameras that the past knows and that all their visits tie to where it does, in the
-        best explanation; and those that the search before this one verified, where all that came
-        since is as its best explanation has it. Where else these could be was asked then; that
-        they were moved since, or a robot was lifted, this search asks at each visit."""
+        best explanation; and those that the search before this one verified and that were not seen
+        since, where all that came is as its best explanation has it. Where else these could be was
+        asked then; that they were moved since, or a robot was lifted, this search asks at each
+        visit."""
         past, best = self.data.past, self.hypotheses[0]
         settled = set(past.known.poses) if past is not None else set[str]()
         settled -= {
@@ -96,7 +97,10 @@ class World:
             for number, v in enumerate(self.visits)
             if number not in best.ties or best.ties[number].place
         }
-        return settled | (self._known.verified if self._known and self._goes_on(best) else set())
+        if self._known is not None and self._goes_on(best):
+            new = self.visits[len(self._known.keys) :]
+            settled |= self._known.verified - {v.visit.camera for v in new}
+        return settled
 
     def _goes_on(self, best: Hypothesis) -> bool:
         """Whether the best explanation only adds visits to that of the search before this one, and
@@ -168,7 +172,7 @@ class World:
             found = self.search.explained([rest], mine)
             if self.search.is_cut:
                 self.undecided.add(camera)
-            elif all(_signature(h) == likeliest for h in found if h.score <= near):
+            elif {_signature(h) for h in found if h.score <= near} == {likeliest}:
                 settled.add(camera)
             if self.budget.is_spent:
                 self.undecided |= cameras.keys() - verified

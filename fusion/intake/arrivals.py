@@ -89,7 +89,7 @@ class Arrivals:
         """Note a message of a camera or robot; what a robot's odometry says, by `add_odometry`."""
         if isinstance(message, Odometry | Sightings) and message.mended:
             self._mended.update((node, lack) for lack in message.mended)
-        if isinstance(message, Odometry) and "odom" in message.child_frame_id:
+        if isinstance(message, Odometry) and _are_exchanged(message):
             self._exchanged[node] = (
                 f"robot {node}: its odometry says that it is the pose of {message.child_frame_id} "
                 f"in {message.frame_id or '«»'}, and is taken for that of the base in odom; if its "
@@ -198,3 +198,11 @@ def _words(seen: Span, robot: str, odometry: Span) -> str:
         f"{_saw(seen)}, stamped {seen}, and the odometry of {robot} is stamped {odometry}: the two "
         f"never overlap, so no picture can be used; {why}"
     )
+
+
+def _are_exchanged(odometry: Odometry) -> bool:
+    """Whether the frames say that it is the pose of odom in the base; namespaces do not count."""
+    frame, child = (
+        name.rpartition("/")[2] for name in (odometry.frame_id, odometry.child_frame_id)
+    )
+    return child == "odom" and frame not in ("odom", "map")

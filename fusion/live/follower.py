@@ -247,6 +247,7 @@ class Follower(Live):
 
     def camera_moved(self, move: CameraMove) -> None:
         if self.data.tell(move):
+            self._is_open, self._is_settled = True, False
             self._order(TakeMove(move))
 
     def leave_open(self, cameras: frozenset[str]) -> None:

@@ -85,7 +85,7 @@ class Look:
         self._wishes, self._tell = wishes, tell
         self._stopping = threading.Event()
         self._scheme = wishes.config.scheme
-        self._tracker = TargetTracker([wishes.target])
+        self._tracker = TargetTracker([wishes.target], rests=False)
         self._watch = Watch()
         self._lens = KnownLens(wishes.target, wishes.lens)
         self._taking = LensTaking([wishes.target])

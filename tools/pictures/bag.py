@@ -133,12 +133,12 @@ def _rows(image: RawImage, pixel: int) -> np.ndarray:
 
 
 def _check_rows(image: RawImage, width: int) -> None:
-    """Raise MessageError where there is as much as for rows of several times as many bytes as
-    `width`, which is more than fills them: the encoding is another one."""
-    if image.encoding.lower() in _PLANES:
+    """Raise MessageError where pixels of a byte, in rows of `width` bytes, come with as many bytes
+    as those of three or four colours have: the encoding is another one."""
+    if image.encoding.lower() in _PLANES or width > image.width:
         return
     times = image.data.size // max(width * image.height, 1)
-    if width > _WIDEST_FILL and times > 1 and image.step in (width, times * width):
+    if width > _WIDEST_FILL and times in (3, 4) and image.step in (0, width, times * width):
         samples = f"{image.width} × {image.height} pixels of {image.encoding}"
         raise MessageError(
             f"its {counted(image.data.size, 'byte')} are {times} times {samples}; name the "

@@ -56,9 +56,10 @@ def _words(
         ahead_ns = own[1] - middle
         scatter_ns = own[2] - own[0] + high - low
         if abs(ahead_ns) > max(_LEAST_NS, borne_ns) + scatter_ns:
-            way = "ahead of" if ahead_ns > 0 else "behind"
+            way, late = ("ahead of", camera) if ahead_ns > 0 else ("behind", robot)
             yield (
                 f"the stamps of {robot} are {to_seconds(abs(ahead_ns)):.1f} s {way} those of "
                 f"{camera} by when both were recorded, so its pictures are held against where "
-                f"{robot} was at other times; synchronise the clocks (chrony)"
+                f"{robot} was at other times, unless what {late} sends only comes that late; "
+                "synchronise the clocks (chrony)"
             )

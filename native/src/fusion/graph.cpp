@@ -452,7 +452,7 @@ double disagreement(const Seen& first, Index k, const Seen& second, Index m, con
     const auto count = static_cast<Index>(first.rows.size()), others = shared.cols() - count;
     Eigen::Matrix<double, 6, Eigen::Dynamic> by(6, shared.cols());
     Eigen::VectorXd moved = Eigen::VectorXd::Zero(shared.cols());
-    double cost = 0;
+    double cost = 0, unmoved = 0;
     for (int round = 0; round < MOST_TURNS; ++round) {
         const Pose old = first.moved(moved.head(count)), now = second.moved(moved.tail(others));
         by.leftCols(count) = -first.by_rows(k, old);
@@ -463,13 +463,15 @@ double disagreement(const Seen& first, Index k, const Seen& second, Index m, con
         const Eigen::PartialPivLU<Matrix6d> parts(spread);
         const Vector6d weighted = parts.solve(error);
         cost = error.dot(weighted) + parts.matrixLU().diagonal().array().abs().log().sum();
+        if (round == 0) unmoved = cost;
         const Eigen::VectorXd further = -shared * by.transpose() * weighted - moved;
-        if (!further.allFinite() || (first.turned(further.head(count)) < SMALL_TURN &&
-                                     second.turned(further.tail(others)) < SMALL_TURN))
-            break;
+        if (!std::isfinite(cost) || !further.allFinite()) break;
+        if (first.turned(further.head(count)) < SMALL_TURN &&
+            second.turned(further.tail(others)) < SMALL_TURN)
+            return cost;
         moved += further;
     }
-    return cost;
+    return unmoved;  // the two put the bases nowhere together
 }
 
 }  // namespace

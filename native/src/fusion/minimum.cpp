@@ -16,8 +16,9 @@ namespace {
 // determined beside its nodes that even the least damping suppresses it: after successful steps
 // there is soon none.
 constexpr double DAMPING_LEAST = 1e-6, DAMPING_NONE = 1e-9, DAMPING_END = 1e8;
-// A step that fails although it promises less than so many times what ends the search is as good.
-constexpr double UNTOLD = 100;
+// An undamped step that fails although it promises less than so many times what ends the search,
+// and less than a tenth of a sigma, is as good.
+constexpr double UNTOLD = 100, LEAST_TOLD = 0.01;
 constexpr std::int64_t MOST_EVER = 10'000;
 
 // The dense part after the chains are eliminated.
@@ -123,7 +124,8 @@ Found trigpoint::minimised(const Argument* given, const Problem& problem, Linear
         } else {
             // So near the minimum the cost, of which the equations leave a part out where pictures
             // have jitter, tells steps apart no more.
-            found.has_converged = promised < UNTOLD * given[TOLERANCE].number;
+            found.has_converged = damping <= DAMPING_LEAST && std::isfinite(candidate.cost) &&
+                                  promised < std::min(UNTOLD * given[TOLERANCE].number, LEAST_TOLD);
             if (found.has_converged) break;
             damping = std::max(damping * 30, DAMPING_LEAST);
         }

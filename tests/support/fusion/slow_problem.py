@@ -236,7 +236,11 @@ def slow_minimum(
         if np.isfinite(candidate.cost) and candidate.cost <= equations.cost:
             state, equations = moved, candidate
             damping = damping / 30 if damping > 1e-9 else 0.0
-        elif promised < 100 * tolerance:
+        elif (
+            damping <= 1e-6
+            and np.isfinite(candidate.cost)
+            and promised < min(100 * tolerance, 0.01)
+        ):
             return state, equations, iterations, True
         else:
             damping = max(damping * 30, 1e-6)

@@ -76,7 +76,7 @@ def test_cameras_that_the_past_knows_are_not_asked_for_again(
     assert all(finding.is_located for finding in of_settled.findings.values())
 
 
-def test_a_visit_as_expected_asks_no_camera_anew() -> None:
+def test_a_visit_as_expected_asks_no_other_camera_anew() -> None:
     data, observations = data_of(Shape(0, (0, 1, 0, 1, 0, 1, 0, 1), is_alike=False))
     works = []
     for is_verified in (True, False):
@@ -88,7 +88,7 @@ def test_a_visit_as_expected_asks_no_camera_anew() -> None:
         found, work = spent(data, observations, memory)
         assert all(finding.is_located for finding in found.findings.values())
         works.append(work)
-    assert works[0] < 0.7 * works[1]
+    assert works[0] < 0.9 * works[1]
 
 
 @pytest.mark.parametrize(

@@ -202,6 +202,20 @@ def test_all_that_one_picture_shows_may_be_wrong_together() -> None:
     assert found.nothing == pytest.approx(found.modes[0].evidence + Events().wrong_limit)
 
 
+@pytest.mark.parametrize("displaced", [0, 1])
+@pytest.mark.parametrize("first", [0, 2, 4])
+def test_of_two_pictures_that_contradict_none_is_preferred(first: int, displaced: int) -> None:
+    data = seen_data(target_of("charuco"))
+    entries = []
+    for order, entry in enumerate(data.entries[first : first + 2]):
+        view = max(entry.observation.views, key=width)
+        shift = np.array([60.0, 24.0]) if order == displaced else np.zeros(2)
+        view = replace(view, pixels=view.pixels + shift)
+        seen = replace(entry.observation, chosen=None, views=(view,))
+        entries.append(Entry(seen, entry.map_from_base))
+    assert not found_in(replace(data, entries=entries)).is_located
+
+
 def test_located_camera_is_never_mirrored() -> None:
     data = seen_data(target_of("checkerboard"))
     found = found_in(data)
