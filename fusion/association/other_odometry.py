@@ -40,14 +40,12 @@ def mirrored(data: DataSet) -> list[str]:
         return []
     every = [_fresh(data, each) for each in every]
     every.sort(key=lambda observation: observation.stamp_ns)
-    draft, memory = data.draft(), Memory()
-    robots = dict.fromkeys(observation.robot for observation in every)
-    memory.budget = Budget.of(draft.tracks.values(), share=_SHARE)
+    draft, memory = data.draft(), Memory(Budget.of(data.tracks.values(), share=_SHARE))
     told = _score(draft, every, memory)
     if not np.isfinite(told):
         return []
     found = list[str]()
-    for robot in robots:
+    for robot in dict.fromkeys(observation.robot for observation in every):
         tracks = draft.tracks | {robot: draft.tracks[robot].retold(_MIRROR)}
         if _score(replace(draft, tracks=tracks), every, memory) + _CLEAR < told:
             found.append(robot)

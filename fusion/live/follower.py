@@ -241,7 +241,8 @@ class Follower(Live):
 
     @property
     def _is_little(self) -> bool:
-        """Whether what came since the last solution hardly changes it."""
+        """Whether what came since the last solution hardly changes it: few sightings, all of which
+        the filter could use."""
         known = min(self.solution.count, LIVE.sightings) if self.solution is not None else 0
         return not self._is_open and len(self._recent) < _LITTLE * known
 

@@ -4,6 +4,7 @@ Stamps of two clocks that overlap fit together in every other way: pictures are 
 the robot was at another time. Whoever recorded both saw both come.
 """
 
+from array import array
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -15,18 +16,21 @@ from trigpoint.site.config import Site
 _LEAST_NS, _LEAST = to_ns(1.0), 3
 # Of a node's messages: what a break held up came late.
 _SHARES = 0.1, 0.5, 0.9
+# No clock is off by more, whatever a damaged file says.
+_MOST_NS = 2**61
 
 
 class RecordedClocks:
     """By how much the stamps of each node lie before the times of recording."""
 
     def __init__(self) -> None:
-        self._late_ns: dict[str, list[int]] = {}
+        self._late_ns: dict[str, array[int]] = {}
 
     def add(self, node: str, stamps_ns: Sequence[int], logs_ns: Sequence[int]) -> None:
         """Take messages of a camera or robot by their stamps and when they were recorded."""
-        pairs = zip(stamps_ns, logs_ns, strict=True)
-        self._late_ns.setdefault(node, []).extend(log - stamp for stamp, log in pairs)
+        late_ns = (log - stamp for stamp, log in zip(stamps_ns, logs_ns, strict=True))
+        bounded = (min(max(each, -_MOST_NS), _MOST_NS) for each in late_ns)
+        self._late_ns.setdefault(node, array("q")).extend(bounded)
 
     def apart(self, site: Site) -> dict[str, str]:
         """Camera -> what is to be said, where a robot's clock is further from its own than the
@@ -44,7 +48,7 @@ class RecordedClocks:
 def _quantiles(late_ns: Sequence[int]) -> tuple[int, int, int]:
     """Of a node, from its median; what is too few scatters without end."""
     if len(late_ns) < _LEAST:
-        return -(2**62), 0, 2**62
+        return -_MOST_NS, 0, _MOST_NS
     low, middle, high = np.quantile(np.array(late_ns), _SHARES, method="nearest").tolist()
     return low, middle, high
 
