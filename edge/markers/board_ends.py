@@ -20,9 +20,11 @@ from trigpoint.site.target import Face
 from .markers import LEAST_CONTRAST
 
 # Where a line of squares is looked at: how deep from its edge, and between its squares' sides; in
-# squares, as the distance of what is looked at from the nearest corner.
+# squares, as the distance of what is looked at from the nearest corner. Of a light square its
+# marker's border, in the marker's sides.
 _DEEP, _BETWEEN, _REACH = np.array([0.1, 0.2]), np.array([0.3, 0.5, 0.7]), 1.6
-# Dark squares of one line: the file's own may be lost to a glare one at a time.
+_BORDER_DEEP = np.array([0.05, 0.1])
+# Squares of one line: the file's own may be lost to a glare one at a time.
 _LEAST_GONE = 2
 # Each of the four squares that meet at a corner is looked at between that and its marker.
 _BESIDE = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
@@ -30,12 +32,12 @@ _BESIDE = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
 
 def ends_early(grey: np.ndarray, face: Face, found: Measured) -> bool:
     """Whether a board ends one line of squares before the file says: all along an outermost line
-    its dark squares are light from the inner edge on, up to which the next line is as printed. What
-    hides a line does not end so exactly at its edge."""
+    its squares are light from the inner edge on, where they or their markers are dark, and the next
+    line is as printed up to there. What hides a line does not end so exactly at its edge."""
     middle = _middle(grey, face, found)
     if middle is None:
         return False
-    places, lines = _dark_squares(face)
+    places, lines = _looked_at(face)
     pixels = found.fit.project(places.reshape(-1, 2)).reshape(places.shape)
     is_in = np.all((pixels > 1) & (pixels < np.array(grey.shape[::-1]) - 2), axis=(1, 2))
     corners = face.corners[found.corners, :2]
@@ -64,11 +66,16 @@ def _middle(grey: np.ndarray, face: Face, found: Measured) -> float | None:
 
 
 @cache
-def _dark_squares(face: Face) -> tuple[Array, np.ndarray]:
-    """Where the dark squares of the two lines on each side are looked at, (n, 6, 2) face places;
-    and of which line each is, (n,): of side k the outer one is 2 k, the inner one 2 k + 1. Neither
-    is written to."""
+def _looked_at(face: Face) -> tuple[Array, np.ndarray]:
+    """Where the dark squares of the two lines on each side, and the markers of the outer one, are
+    looked at, (n, 6, 2) face places; and of which line each is, (n,): of side k the outer one is
+    2 k, the inner one 2 k + 1. Neither is written to."""
     places, lines = list[Array](), list[int]()
+    marker = (face.marker or 0.0) / face.square
+    border_deep, border_between = (
+        (1 - marker) / 2 + marker * _BORDER_DEEP,
+        (1 - marker) / 2 + marker * _BETWEEN,
+    )
     for side, (is_column, is_last) in enumerate(product((True, False), (True, False))):
         along, count = (face.rows, face.columns) if is_column else (face.columns, face.rows)
         edge = count - 1 if is_last else 1  # between the two lines, in squares
@@ -77,9 +84,11 @@ def _dark_squares(face: Face) -> tuple[Array, np.ndarray]:
             line = edge if way > 0 else edge - 1
             for step in range(along):
                 square = (line, step) if is_column else (step, line)
-                if squares_are_light(face, *map(np.array, square)):
+                is_light = squares_are_light(face, *map(np.array, square))
+                if is_light and inner:
                     continue
-                across, beside = np.meshgrid(edge + way * _DEEP, step + _BETWEEN)
+                deep, between = (border_deep, border_between) if is_light else (_DEEP, _BETWEEN)
+                across, beside = np.meshgrid(edge + way * deep, step + between)
                 spots = [across, beside] if is_column else [beside, across]
                 places.append((np.stack(spots, axis=-1).reshape(-1, 2) - 1) * face.square)
                 lines.append(2 * side + inner)

@@ -63,7 +63,8 @@ class MisdescribedBoards:
 
     def __init__(self, looks: Sequence[Appearance], faces: Sequence[Face]) -> None:
         """`faces`: all of the site, of which none is another board."""
-        self._waiting, self._faces = list(readings(looks)), faces
+        self._looks, self._faces = looks, faces
+        self._waiting = list(readings(looks))
         self._firsts = sorted({face.first_marker for face in faces})
         self._ids = max([_MOST_IDS, *(face.first_marker + face.marker_count for face in faces)])
         self._finders = QuadFinder(parts_touching=True), QuadFinder()
@@ -78,8 +79,15 @@ class MisdescribedBoards:
     @property
     def refused(self) -> set[Appearance]:
         """Looks not to use: those that were contradicted and are another board, which no later
-        picture mends, and those that are contradicted too often, as long as they are."""
-        return self._disproven | {look for look in self._denials if self._is_often_denied(look)}
+        picture mends; those of the same target, printed and described together, until they were
+        seen so often as the file has them; and those that are contradicted too often, as long as
+        they are."""
+        targets = {look.target for look in self._disproven}
+        doubted = {look for look in self._looks if look.target in targets}
+        often = {look for look in self._denials if self._is_often_denied(look)}
+        return (
+            self._disproven | often | {look for look in doubted if self._confirmed[look] < _OFTEN}
+        )
 
     @property
     def lines(self) -> dict[Appearance, str]:

@@ -5,7 +5,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
-from support.pictures.boards import aprilgrid, charuco, checkerboard, picture_of, placed, target_of
+from support.pictures.boards import (
+    aprilgrid,
+    charuco,
+    checkerboard,
+    picture_of,
+    placed,
+    target_of,
+    true_pixels,
+)
 from support.wrong_inputs.targets import shots
 
 from trigpoint.edge.detector import detector_for
@@ -232,6 +240,33 @@ def test_part_of_a_board_is_not_taken_for_one_of_the_other_layout(*, legacy: boo
             seen += len(right.detect(picture))
             assert wrong.detect(picture) == ()
     assert seen > 20
+
+
+@pytest.mark.parametrize("legacy", [True, False])
+def test_two_rows_of_a_part_tell_its_layout(*, legacy: bool) -> None:
+    """Of the column in which it would go on, a dark square and a marker are not there."""
+    face = charuco(7, 4, legacy=legacy)
+    right, wrong = (detector_for([target_of(each)]) for each in (face, _other_layout(face)))
+    for turn_deg in (0.0, 8.0, -8.0):
+        view = placed(face, distance=0.8, turn_deg=turn_deg)
+        inner = true_pixels(view).reshape(3, 6, 2)
+        x = inner[:, 4 if legacy else 1, 0].mean()
+        y = inner[1:, 0 if legacy else -1, 1].mean()
+        beside = np.s_[: round(x)] if legacy else np.s_[round(x) :]
+        part = picture_of([view], noise=2.0)[: round(y), beside]
+        assert right.detect(part)
+        assert wrong.detect(part) == ()
+
+
+def test_where_one_face_is_of_another_layout_the_others_are_not_believed_at_once() -> None:
+    """Faces are printed together: a part of another one that fits the file as well waits until it
+    was seen so several times."""
+    first, second = charuco(5, 4, legacy=True), charuco(5, 4, number=1, first=10)
+    detector = detector_for([target_of(replace(first, legacy=False), second)])
+    before, after = picture_of([placed(first)]), picture_of([placed(second)])
+    assert detector_for([target_of(first, second)]).detect(after)
+    assert detector.detect(before) == ()
+    assert [len(detector.detect(after)) for _ in range(4)] == [0, 0, 1, 1]
 
 
 def _other_layout(face: Face) -> Face:
