@@ -288,9 +288,11 @@ class EdgeNode:
         self._node.health.fail(f"{words}; it makes no corrections until it is located again")
 
     def _name_misdescribed(self) -> None:
-        """Report boards that the target file describes wrongly."""
+        """Report boards that the target file describes wrongly, while the pictures say so."""
         if lines := self._tracker.misdescribed:
             self._node.health.hold("target file", "; ".join(lines))
+        else:
+            self._node.health.release("target file")
 
     def _say(self, state: str) -> None:
         self._node.health.describe("source", state)

@@ -10,7 +10,14 @@ import cv2
 import numpy as np
 import pytest
 from support.builders import eventually
-from support.pictures.boards import checkerboard, picture_of, placed, target_of, worst_error
+from support.pictures.boards import (
+    charuco,
+    checkerboard,
+    picture_of,
+    placed,
+    target_of,
+    worst_error,
+)
 from support.pictures.rooms import room
 from support.site.edge_desk import EMPTY, SEEN, VIEW, Desk, desk, taken
 
@@ -139,6 +146,23 @@ def test_board_that_the_file_describes_the_wrong_way_round_is_said(desk: Desk) -
     )
     node.wait()
     assert "write columns = 8 and rows = 6" in node.health.held["target file"]
+
+
+def test_board_of_another_size_is_said_until_the_files_own_is_seen(desk: Desk) -> None:
+    has_started, own = threading.Event(), charuco(5, 4)
+
+    def script() -> Iterator[Frame]:
+        has_started.wait()
+        for number, face in enumerate((charuco(9, 6), own), 1):
+            yield Frame(picture_of([placed(face, distance=1.0)]), number * 10**9)
+            is_said = face is not own
+            assert eventually(lambda wanted=is_said: ("target file" in node.health.held) is wanted)
+
+    node = desk.start(script=script(), target=target_of(own), camera="rate = 1.0")
+    has_started.set()
+    node.wait()
+    assert node.health.total("faces") == 1
+    assert "target file" not in node.health.held
 
 
 def test_pictures_are_only_sent_while_somebody_listens(desk: Desk) -> None:
