@@ -216,6 +216,7 @@ export class SiteMap {
   // Metres a pixel; marks and texts are redrawn where that has changed.
   place() {
     const { x, y, w, h } = this.box, { clientWidth, clientHeight } = this.svg;
+    this.svg.classList.toggle("own", this.isOwn);  // else a finger moves the page
     if (!clientWidth || !clientHeight) return;
     for (const one of document.querySelectorAll(".drawn")) one.setAttribute("viewBox", `${x} ${y} ${w} ${h}`);
     const unit = Math.max(w / clientWidth, h / clientHeight);
@@ -243,9 +244,9 @@ export class SiteMap {
       this.zoom(Math.exp(-0.0015 * event.deltaY), pointed(event));
     }, { passive: false });
     let from = null;
-    svg.addEventListener("pointerdown", (event) => { if (event.pointerType === "mouse") from = pointed(event); });
+    svg.addEventListener("pointerdown", (event) => { if (event.isPrimary && (event.pointerType === "mouse" || this.isOwn)) from = pointed(event); });
     svg.addEventListener("pointermove", (event) => {
-      if (!from) return;
+      if (!from || !event.isPrimary) return;
       const to = pointed(event);
       this.move(from.x - to.x, from.y - to.y);
     });
