@@ -8,6 +8,9 @@ export function spoken(seconds) {
   return s < 172800 ? `${Math.floor(min / 60)} h ${min % 60} min` : `${Math.round(s / 86400)} days`;
 }
 
+const AWAY = ["silent", "gone", "missing"];
+// Whether nothing is heard of a camera: from fusion about its place, or from its agent.
+export const isUnheard = (camera, agent) => Boolean(camera.stale) || AWAY.includes(agent?.state);
 export const robotColour = (index) => `var(--r${index % 8})`;
 const centimetres = (m) => m < 1e-3 ? "<0.1 cm" : m < 1 ? `±${(100 * m).toFixed(1)} cm` : `±${m.toFixed(1)} m`;
 export const degrees = (rad) => `${(Math.round(180 * rad / Math.PI) + 360) % 360}°`;
@@ -65,7 +68,8 @@ export class Tables {
   }
 
   camera(name, camera, now) {
-    const row = this.row("camera-table", name, camera.stale);
+    const node = this.state[`node/edge/${named(name)}`] || {};
+    const row = this.row("camera-table", name, isUnheard(camera, node));
     if (!row.cells[0].firstChild) {
       const button = document.createElement("button");
       button.textContent = named(name);
@@ -73,7 +77,6 @@ export class Tables {
       button.addEventListener("click", () => this.look(named(name)));
       row.cells[0].append(button);
     }
-    const node = this.state[`node/edge/${named(name)}`] || {};
     const runs = node.source && node.source !== "running" ? node.source : node.age == null ? "–" : node.age < 1 ? "live" : `${spoken(node.age)} old`;
     const isLive = runs === "live";
     const place = camera.at ? metres(camera.at) : "–";

@@ -252,6 +252,19 @@ def test_a_robot_that_is_silent_greys(browser: Browser, monkeypatch: pytest.Monk
         assert_places(page)
 
 
+def test_a_camera_whose_agent_is_gone_greys_though_its_place_is_known(
+    browser: Browser, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lab = make_site(cameras=9, robots=3)
+    with served_board(lab, monkeypatch) as desk, published(desk, lab) as site:
+        page, said = opened(browser, desk.address)
+        site.end("edge/c4")
+        page.wait_for_selector('#cameras [data-id="camera/c4"].located.stale')
+        page.wait_for_selector('#camera-table [data-id="camera/c4"].stale')
+        assert page.locator("#cameras .stale, #camera-table tr.stale").count() == 2
+        assert said == []
+
+
 def test_it_comes_back_by_itself_when_the_server_does(
     browser: Browser, monkeypatch: pytest.MonkeyPatch
 ) -> None:
