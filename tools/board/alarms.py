@@ -75,12 +75,12 @@ class Alarms:
 
 
 def _fields(node: NodeStatus) -> Fields:
-    """`age`: of a camera's newest picture, s, by tenths while it is young; `source`: its state."""
+    """`age`: of a camera's newest picture, s, 0 while it is young, and `source`: its state; None
+    where the node does not say them, or not any more."""
     fields: Fields = {"state": node.state, "notes": notes(node), "host": node.host}
-    if (age_s := node.gauges.get("picture_age_s")) is not None:
-        fields["age"] = round(age_s) if age_s >= 1 else 0
-    if source := node.words.get("source"):
-        fields["source"] = source
+    age_s = node.gauges.get("picture_age_s")
+    fields["age"] = None if age_s is None else int(age_s)
+    fields["source"] = node.words.get("source")
     if (lost := sum(node.losses.values())) > 0:
         fields["lost"] = lost
     return fields

@@ -83,7 +83,7 @@ def main(
     """Look through one camera, without a site file: what it sees of a target, live on a page and in
     the terminal, and its lens, once the board was shown all over the picture.
 
-    It runs until the source's end, --seconds or Ctrl-C.
+    It runs until --seconds or Ctrl-C, with --no-page until the source's end.
     """
     url = source_url(source)
     width, height = picture_size(size)
@@ -107,8 +107,12 @@ def main(
         look = Look(wishes, teller)
         stop_on_signals([look])
         result = look.run()
-    _tell_result(result, look.name, is_json=json_text)
-    if result.missing and not ENDING.is_asked:
+        _tell_result(result, look.name, is_json=json_text)
+        is_failed = bool(result.missing) and not ENDING.is_asked
+        if not no_page and seconds is None and not look.is_stopped:
+            teller.say(f"{result.over}; the page stays until Ctrl-C")
+            look.wait()
+    if is_failed:
         raise OperationError(f"no lens was taken, so nothing is written: {result.missing}")
 
 
@@ -148,7 +152,7 @@ class _Teller:
 
         self._moments = Moments()
         address = stack.enter_context(page_served(self._moments, port))
-        self._echo(f"open in a browser: {address}")
+        self.say(f"open in a browser: {address}")
 
     def __call__(self, shown: Shown, picture: np.ndarray) -> None:
         now_ns = self._clock.elapsed_ns()
@@ -159,21 +163,21 @@ class _Teller:
         for hint in shown.hints:
             if hint not in self._hints:
                 self._hints.add(hint)
-                self._echo(hint)
+                self.say(hint)
         self._say("advice", shown.advice)
         self._say("lens", shown.lens.summary if shown.lens else "")
         self._say("written", f"wrote {shown.written}" if shown.written else "")
         if now_ns - self._said_ns >= _LINE_NS and not shown.over:
             self._said_ns = now_ns
-            self._echo(shown.line)
+            self.say(shown.line)
 
     def _say(self, what: str, text: str) -> None:
         """A line where it is another than the last of its kind."""
         if text and text != self._said.get(what):
             self._said[what] = text
-            self._echo(f"  {text}")
+            self.say(f"  {text}")
 
-    def _echo(self, text: str) -> None:
+    def say(self, text: str) -> None:
         typer.echo(text, err=self._is_json)
 
 

@@ -62,7 +62,8 @@ class Wishes(Struct, frozen=True):
 
 class Result(Struct, frozen=True):
     """How it ended. `lens`: the newest that was worked out; `written`: its files; `missing`: why
-    there are none where a lens was wanted; `hints`: what the target file has wrong."""
+    there are none where a lens was wanted; `hints`: what the target file has wrong; `over`: how it
+    ended, in words."""
 
     pictures: int
     with_target: int
@@ -72,6 +73,7 @@ class Result(Struct, frozen=True):
     written: tuple[Path, ...]
     missing: str
     hints: tuple[str, ...]
+    over: str
 
 
 Tell = Callable[[Shown, np.ndarray], None]
@@ -105,6 +107,15 @@ class Look:
     def stop(self) -> None:
         """Ask it to end. Any thread."""
         self._stopping.set()
+
+    @property
+    def is_stopped(self) -> bool:
+        """Whether `stop` was called: else the source has ended."""
+        return self._stopping.is_set()
+
+    def wait(self) -> None:
+        """Wait for `stop`."""
+        self._stopping.wait()
 
     def run(self) -> Result:
         """Look; raises what the source raises, InputError for pictures of another size than the
@@ -230,10 +241,11 @@ class Look:
                 self._write(best)
             missing = "" if best is not None else self._missing()
         shown, picture = self._last
-        self._tell(self._over(shown, missing), picture)
+        over = self._over(shown, missing)
+        self._tell(over, picture)
         found, hints = self._taking.found, self._tracker.misdescribed
         counts = (self._pictures, self._with_target, self._size, len(self._taking.views))
-        return Result(*counts, found, self._written, missing, hints)
+        return Result(*counts, found, self._written, missing, hints, over.over)
 
     def _missing(self) -> str:
         if not self._with_target:

@@ -40,8 +40,9 @@ stop() {{
 
 echo "1 the program, from the wheel here; what it needs comes from your package index: $program"
 python3 -m venv "$program"
-"$program/bin/pip" install --quiet --disable-pip-version-check -c constraints.txt \\
-    '{wanted}'
+pip() {{ "$program/bin/pip" install --quiet --disable-pip-version-check "$@"; }}
+pip -c constraints.txt '{wanted}'
+pip --force-reinstall --no-deps ./{wheel}  # where another of the same version was
 
 echo "2 the site's files and this machine's keys: $files"
 mkdir -p "$files"

@@ -49,6 +49,14 @@ class Access(Struct, frozen=True):
     def is_encrypted(self) -> bool:
         return self.certificate is not None
 
+    @property
+    def shown(self) -> str:
+        """What a browser asks for: a further name, or the machine's, where `host` is all of its
+        addresses, which is none."""
+        if self.host not in ("0.0.0.0", "::"):
+            return f"[{self.host}]" if ":" in self.host else self.host
+        return next((name for name in self.names if name != self.host), socket.gethostname())
+
 
 def checked_access(
     host: str,

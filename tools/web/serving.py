@@ -34,8 +34,7 @@ def served(app: ASGIApp, access: Access, port: int) -> Iterator[str]:
         thread.start()
         try:
             scheme = "https" if access.is_encrypted else "http"
-            host = f"[{access.host}]" if ":" in access.host else access.host
-            yield f"{scheme}://{host}:{listening.getsockname()[1]}/"
+            yield f"{scheme}://{access.shown}:{listening.getsockname()[1]}/"
         finally:
             server.should_exit = True
             thread.join()

@@ -10,7 +10,7 @@ from prometheus_client.utils import floatToGoString
 from trigpoint.contract.durations import BOUNDS_S, Durations
 from trigpoint.contract.messages import Diagnostics, DiagnosticStatus
 
-from .table import LEVEL, REPORTED, Metric, is_left_out, metric_of
+from .table import LEVEL, REPORTED, Metric, counters, is_left_out, metric_of
 
 _WHO = {"edge": "camera", "robot": "robot"}
 
@@ -57,10 +57,12 @@ def _samples(
 ) -> Iterator[tuple[Metric, dict[str, str], float | Durations]]:
     kind = status.name.partition("/")[0]
     own = {LEVEL: str(status.level)} | ({REPORTED: str(stamp_ns)} if stamp_ns else {})
+    never = {metric.name: metric for metric in counters(kind)} if stamp_ns else {}
     for name, text in (own | status.values).items():
         if is_left_out(name):
             continue
         metric, labels = metric_of(kind, name)
+        never.pop(metric.name, None)
         if metric.text:
             # What follows a colon is why, for people; as a label it would be a series each time.
             yield metric, labels | {metric.text: text.partition(": ")[0]}, 1.0
@@ -69,6 +71,8 @@ def _samples(
                 yield metric, labels, durations
         elif (value := _number(text)) is not None:
             yield metric, labels, value * metric.scale
+    for metric in never.values():  # else Prometheus's `increase` does not see the first
+        yield metric, {}, 0.0
 
 
 def _durations(text: str) -> Durations | None:

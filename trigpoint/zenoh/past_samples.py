@@ -97,7 +97,7 @@ class History:
             begin = max(expected, number - self._depth)
             question = _Question(str(sample.key_expr), begin, {number: sample})
             self._questions[sender] = question
-        self._ask(sender, question)
+            self._ask_later(sender, question, 0.0)
 
     def close(self) -> None:
         """Ask no more."""
@@ -106,6 +106,13 @@ class History:
             for question in self._questions.values():
                 if question.timer is not None:
                     question.timer.cancel()
+
+    def _ask_later(self, sender: Sender, question: _Question, delay_s: float) -> None:
+        """Ask on a thread of its own; the caller holds the lock. Zenoh, too, holds one where it
+        hands on samples while a link closes: a question there waits for it forever."""
+        question.timer = threading.Timer(delay_s, self._ask, (sender, question))
+        question.timer.daemon = True
+        question.timer.start()
 
     def _ask(self, sender: Sender, question: _Question) -> None:
         """Ask for the latest that came, too: its sender has it, and answers with it last."""
@@ -144,9 +151,7 @@ class History:
             if self._is_closed:
                 return
             if not question.is_done(self._depth) and time.monotonic() < question.until_s:
-                question.timer = threading.Timer(_AGAIN_S, self._ask, (sender, question))
-                question.timer.daemon = True
-                question.timer.start()
+                self._ask_later(sender, question, _AGAIN_S)
                 return
             del self._questions[sender]
             self._pass(sender, question.held, self._expected(sender, question))

@@ -144,7 +144,7 @@ class BoardSite:
         self._tokens.pop(node).close()
 
     def _report(self, stamp_ns: int, time_s: float) -> None:
-        for index, node in enumerate(self._tokens):
+        for index, node in enumerate(list(self._tokens)):
             trouble = self.troubles.get(node, "")
             status = DiagnosticStatus(
                 2 if trouble else 0,

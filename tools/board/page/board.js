@@ -149,6 +149,7 @@ async function goTo(seconds) {
 element("when").addEventListener("input", (event) => goTo(Number(event.target.value)));
 element("now").addEventListener("click", () => {
   element("when").value = 0;
+  element("when").focus();  // the button goes
   goTo(0);
 });
 

@@ -1,6 +1,6 @@
 // The map, in metres: x to the right, y up, which SVG counts downwards. Marks keep their size. What
 // moves is a drawing of its own above the rest, which then need not be painted again.
-import { robotColour } from "./tables.js";
+import { isUnheard, robotColour } from "./tables.js";
 
 const TIMES = 10;  // ellipses are drawn so much larger
 const WAY_POINTS = 600, WAY_S = 60, WAY_MS = 500, NEAR_M = 0.05;
@@ -58,6 +58,10 @@ export class SiteMap {
     if (name === "plan" || name === "grid") this.lay(name, fields);
     else if (name.startsWith("camera/")) this.camera(name, fields);
     else if (name.startsWith("robot/")) this.robot(name, fields);
+    else if (name.startsWith("node/edge/")) {
+      const camera = `camera/${name.slice("node/edge/".length)}`;
+      if (this.fields[camera]) this.camera(camera, this.fields[camera]);
+    }
   }
 
   drop(name) {
@@ -83,15 +87,17 @@ export class SiteMap {
 
   camera(name, camera) {
     if (!camera.at) return;
-    const look = [camera.at, camera.look, camera.state, camera.stale, camera.ellipse, camera.floor, this.unit].join();
+    const stale = isUnheard(camera, this.fields[`node/edge/${nameOf(name)}`]);
+    const look = [camera.at, camera.look, camera.state, stale, camera.ellipse, camera.floor, this.unit].join();
     if (this.looks.get(name) === look) return;  // when it saw a target is not on the map
     this.looks.set(name, look);
     const parts = this.part(name, () => this.newCamera(name));
     const [x, y] = camera.at;
-    set(parts.mark, { class: `${camera.state}${camera.stale ? " stale" : ""}`, "data-x": x, "data-y": y });
+    set(parts.mark, { class: `${camera.state}${stale ? " stale" : ""}`, "data-x": x, "data-y": y });
     parts.mark.querySelector(".turned").setAttribute("transform", `rotate(${degrees(camera.look[0])})`);
     this.mark(parts.mark, x, y);
-    this.ellipse(parts.ellipse, camera, x, y);
+    this.ellipse(parts.ellipse, { ...camera, stale }, x, y);
+    set(parts.floor, { class: stale ? "stale" : "" });
     if (camera.floor && parts.floor.dataset.drawn !== String(camera.floor)) {
       parts.floor.dataset.drawn = String(camera.floor);
       parts.floor.setAttribute("d", path(camera.floor) + "Z");
@@ -216,6 +222,7 @@ export class SiteMap {
   // Metres a pixel; marks and texts are redrawn where that has changed.
   place() {
     const { x, y, w, h } = this.box, { clientWidth, clientHeight } = this.svg;
+    this.svg.classList.toggle("own", this.isOwn);  // else a finger moves the page
     if (!clientWidth || !clientHeight) return;
     for (const one of document.querySelectorAll(".drawn")) one.setAttribute("viewBox", `${x} ${y} ${w} ${h}`);
     const unit = Math.max(w / clientWidth, h / clientHeight);
@@ -243,9 +250,9 @@ export class SiteMap {
       this.zoom(Math.exp(-0.0015 * event.deltaY), pointed(event));
     }, { passive: false });
     let from = null;
-    svg.addEventListener("pointerdown", (event) => { if (event.pointerType === "mouse") from = pointed(event); });
+    svg.addEventListener("pointerdown", (event) => { if (event.isPrimary && (event.pointerType === "mouse" || this.isOwn)) from = pointed(event); });
     svg.addEventListener("pointermove", (event) => {
-      if (!from) return;
+      if (!from || !event.isPrimary) return;
       const to = pointed(event);
       this.move(from.x - to.x, from.y - to.y);
     });

@@ -4,12 +4,16 @@ export function spoken(seconds) {
   const s = Math.max(0, Math.round(seconds));
   if (s < 90) return `${s} s`;
   if (s < 5400) return `${Math.round(s / 60)} min`;
-  return s < 172800 ? `${Math.floor(s / 3600)} h ${Math.round((s % 3600) / 60)} min` : `${Math.round(s / 86400)} days`;
+  const min = Math.round(s / 60);
+  return s < 172800 ? `${Math.floor(min / 60)} h ${min % 60} min` : `${Math.round(s / 86400)} days`;
 }
 
+const AWAY = ["silent", "gone", "missing"];
+// Whether nothing is heard of a camera: from fusion about its place, or from its agent.
+export const isUnheard = (camera, agent) => Boolean(camera.stale) || AWAY.includes(agent?.state);
 export const robotColour = (index) => `var(--r${index % 8})`;
 const centimetres = (m) => m < 1e-3 ? "<0.1 cm" : m < 1 ? `±${(100 * m).toFixed(1)} cm` : `±${m.toFixed(1)} m`;
-const degrees = (rad) => `${Math.round((180 * rad / Math.PI + 360) % 360)}°`;
+export const degrees = (rad) => `${(Math.round(180 * rad / Math.PI) + 360) % 360}°`;
 const fine = (rad) => `±${(180 * rad / Math.PI).toFixed(1)}°`;
 const tilt = (rad) => `${Math.abs(Math.round(180 * rad / Math.PI))}° ${rad < 0 ? "down" : "up"}`;
 const metres = (values) => values.map((v) => v.toFixed(2)).join(", ");
@@ -64,7 +68,8 @@ export class Tables {
   }
 
   camera(name, camera, now) {
-    const row = this.row("camera-table", name, camera.stale);
+    const node = this.state[`node/edge/${named(name)}`] || {};
+    const row = this.row("camera-table", name, isUnheard(camera, node));
     if (!row.cells[0].firstChild) {
       const button = document.createElement("button");
       button.textContent = named(name);
@@ -72,9 +77,8 @@ export class Tables {
       button.addEventListener("click", () => this.look(named(name)));
       row.cells[0].append(button);
     }
-    const node = this.state[`node/edge/${named(name)}`] || {};
-    const runs = node.source && node.source !== "running" ? node.source : node.age === undefined ? "–" : node.age < 1 ? "live" : `${spoken(node.age)} old`;
-    const isLive = runs === "live" || runs === "–";
+    const runs = node.source && node.source !== "running" ? node.source : node.age == null ? "–" : node.age < 1 ? "live" : `${spoken(node.age)} old`;
+    const isLive = runs === "live";
     const place = camera.at ? metres(camera.at) : "–";
     const looks = camera.look ? `${degrees(camera.look[0])}, ${tilt(camera.look[1])}` : "–";
     const state = camera.state + (camera.stale && camera.state === "located" ? " (stale)" : "");
@@ -118,7 +122,8 @@ export class Tables {
   alarms(now) {
     const list = document.getElementById("alarms");
     const all = Object.entries(this.state).filter(([name]) => name.startsWith("alarm/"));
-    all.sort(([, a], [, b]) => (a.until ? 1 : 0) - (b.until ? 1 : 0) || b.since - a.since);
+    const rank = (alarm) => alarm.until ? 2 : alarm.state === "warning" ? 1 : 0;
+    all.sort(([, a], [, b]) => rank(a) - rank(b) || b.since - a.since);
     const items = all.map(([name, alarm]) => {
       const at = new Date(1000 * alarm.since).toLocaleTimeString();
       const when = alarm.until ? `over; from ${at}, for ${spoken(alarm.until - alarm.since)}` : `since ${at}, for ${spoken(now - alarm.since)}`;

@@ -38,6 +38,17 @@ PLACE = """([layer, name]) => {
 """Where a mark is on the screen, in the map, and which way it points: as it is laid out."""
 
 
+DRAG = """([x, y]) => {
+  const map = document.getElementById("map");
+  for (const [kind, way] of [["down", 0], ["move", 1], ["up", 1]]) {
+    const at = { clientX: 300 + way * x, clientY: 300 + way * y };
+    const finger = { pointerType: "touch", isPrimary: true, bubbles: true, ...at };
+    map.dispatchEvent(new PointerEvent(`pointer${kind}`, finger));
+  }
+}"""
+"""A finger that goes so many pixels over the map."""
+
+
 def opened(browser: Browser, address: str, **settings: object) -> tuple[Page, list[str]]:
     """A page that shows robots, and what its console has said."""
     page, said = opened_page(browser, address, **settings)
@@ -143,7 +154,11 @@ def test_the_map_is_moved_by_keys_and_stays_true(browser: Browser, desk: Desk) -
     after = page.evaluate(PLACE, ["robots", "robot/r1"])
     assert math.hypot(after[0] - before[0], after[1] - before[1]) > 20
     assert after[2:4] == pytest.approx(before[2:4], abs=2e-3)
+    page.evaluate(DRAG, [30, 40])
+    dragged = page.evaluate(PLACE, ["robots", "robot/r1"])
+    assert dragged[:2] == pytest.approx([after[0] + 30, after[1] + 40], abs=1)
     page.keyboard.press("0")
+    page.evaluate(DRAG, [30, 40])  # a finger moves the page where all of the map is seen
     assert page.evaluate(PLACE, ["robots", "robot/r1"])[:2] == pytest.approx(before[:2], abs=1)
 
 
@@ -173,6 +188,16 @@ def test_a_wall_shows_what_matters_without_a_hand(browser: Browser, desk: Desk) 
     assert page.locator("#camera-table tbody tr:visible").count() == 2  # c2 and c3
     assert not page.locator("#past").is_visible()
     assert_places(page)
+    heights = page.evaluate(
+        """() => {
+          const rows = [...document.querySelectorAll("#camera-table tbody tr")];
+          const height = () => document.getElementById("camera-table").offsetHeight;
+          const before = height();
+          rows.forEach((row) => row.classList.add("fine"));
+          return [before, height()];
+        }"""
+    )
+    assert heights[0] > 0 == heights[1]  # where all is fine there is no table of nothing
 
 
 def test_alarms_are_said_in_words_with_their_times(
@@ -195,6 +220,25 @@ def test_alarms_are_said_in_words_with_their_times(
         assert page.locator("#alarms .none").count() == 1
 
 
+def test_errors_come_before_later_warnings_and_words_are_right_at_their_edges(
+    browser: Browser, desk: Desk
+) -> None:
+    page, _ = opened(browser, desk.address)
+    said = page.evaluate(
+        """async () => {
+          const { Tables, degrees, spoken } = await import("/tables.js");
+          const tables = new Tables(() => {});
+          tables.show("alarm/1", { node: "a", text: "down", state: "error", since: 1 });
+          tables.show("alarm/2", { node: "b", text: "slow", state: "warning", since: 9 });
+          tables.alarms(10);
+          const alarms = [...document.querySelectorAll("#alarms span")];
+          const texts = alarms.slice(0, 2).map((one) => one.textContent);
+          return [texts, spoken(7190), spoken(89.6), degrees(-0.004), degrees(-Math.PI / 2)];
+        }"""
+    )
+    assert said == [["a: down", "b: slow"], "2 h 0 min", "2 min", "0°", "270°"]
+
+
 def test_a_robot_that_is_silent_greys(browser: Browser, monkeypatch: pytest.MonkeyPatch) -> None:
     lab = make_site(cameras=9, robots=3)
     with served_board(lab, monkeypatch) as desk:
@@ -203,7 +247,22 @@ def test_a_robot_that_is_silent_greys(browser: Browser, monkeypatch: pytest.Monk
             assert page.locator('#robots [data-id="robot/r1"].stale').count() == 0
         page.wait_for_selector('#robots [data-id="robot/r1"].stale')
         expect(page.locator("#robot-table")).to_contain_text("(stale)", timeout=PATIENCE_MS)
+        pictures = page.locator('#camera-table [data-id="camera/c1"] td').nth(3)
+        expect(pictures).to_have_text("–", timeout=PATIENCE_MS)  # its agent says nothing any more
         assert_places(page)
+
+
+def test_a_camera_whose_agent_is_gone_greys_though_its_place_is_known(
+    browser: Browser, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lab = make_site(cameras=9, robots=3)
+    with served_board(lab, monkeypatch) as desk, published(desk, lab) as site:
+        page, said = opened(browser, desk.address)
+        site.end("edge/c4")
+        page.wait_for_selector('#cameras [data-id="camera/c4"].located.stale')
+        page.wait_for_selector('#camera-table [data-id="camera/c4"].stale')
+        assert page.locator("#cameras .stale, #camera-table tr.stale").count() == 2
+        assert said == []
 
 
 def test_it_comes_back_by_itself_when_the_server_does(
@@ -233,6 +292,7 @@ def test_the_last_hour_is_scrubbed_back(browser: Browser, desk: Desk) -> None:
     page.wait_for_selector('#robots [data-id="robot/r3"]')
     assert_places(page)
     page.locator("#now").click()
+    assert page.evaluate("document.activeElement.id") == "when"
     page.wait_for_selector("body:not(.past)")
     assert_places(page)
 

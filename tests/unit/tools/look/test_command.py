@@ -2,6 +2,9 @@
 written."""
 
 import json
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +19,7 @@ from support.pictures.boards import (
     placed,
     write_pictures,
 )
+from support.site.visitor import Visitor
 
 from trigpoint.site.camera_info import read_camera_info, write_camera_info
 
@@ -122,6 +126,23 @@ def test_an_endless_source_is_looked_at_for_so_long(here: Path, cli: Cli) -> Non
     captured = look(cli, *words, rate=10, status=1)
     assert "lens known, by the source; it fits this picture to 0.0" in captured.out
     assert "no lens was taken" in captured.err
+
+
+def test_the_page_of_a_folder_stays_until_it_is_stopped(shots: Path, here: Path) -> None:
+    """A folder is looked through before anybody has opened its page."""
+    words = [sys.executable, "-m", "trigpoint", "look", str(shots), "--port", "0", "--rate", "200"]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as looking:
+        assert looking.stdout is not None
+        said = []
+        for line in looking.stdout:
+            said.append(line)
+            if "stays" in line:
+                break
+        assert said[-1] == "it has ended; the lens is in c1.yaml; the page stays until Ctrl-C\n"
+        with Visitor(said[0].split()[-1]).events() as told:
+            assert next(told)["over"] == "it has ended; the lens is in c1.yaml"
+        looking.send_signal(signal.SIGINT)
+    assert looking.returncode == 0
 
 
 def test_pictures_of_two_sizes_are_no_cameras(here: Path, cli: Cli) -> None:

@@ -63,13 +63,13 @@ def wheel_name(machine: str) -> str:
     return f"trigpoint-{__version__}-py3-none-manylinux_2_28_{machine}.whl"
 
 
-def make_wheel(path: Path) -> None:
+def make_wheel(path: Path, word: str = "ran") -> None:
     """A wheel of a program that says what it was called with."""
     tag = path.stem.partition("-py3")[2]
     info = f"trigpoint-{__version__}.dist-info"
     files = {
         "trigpoint/__init__.py": "",
-        "trigpoint/__main__.py": "import sys; print('ran', *sys.argv[1:])\n",
+        "trigpoint/__main__.py": f"import sys; print('{word}', *sys.argv[1:])\n",
         f"{info}/METADATA": f"Metadata-Version: 2.1\nName: trigpoint\nVersion: {__version__}\n"
         + "".join(f"Provides-Extra: {extra}\n" for extra in ("edge", "streams", "robot", "secure")),
         f"{info}/WHEEL": f"Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3{tag}\n",
@@ -180,6 +180,13 @@ def installed(place: Path, root: Path) -> "subprocess.CompletedProcess[str]":
     )
 
 
+def said_by(root: Path) -> str:
+    """What the program says that was installed there."""
+    words = [root / "opt/trigpoint/bin/python", "-P", "-m", "trigpoint", "edge"]
+    environment = {"PATH": os.environ["PATH"]}
+    return subprocess.run(words, capture_output=True, text=True, timeout=60, env=environment).stdout
+
+
 def test_archive_installs_into_a_folder_without_root(folder: Path, tmp_path: Path) -> None:
     place, root = packed("camera", "c1", "--connect", SERVER), tmp_path / "a root"
     result = installed(place, root)
@@ -188,13 +195,11 @@ def test_archive_installs_into_a_folder_without_root(folder: Path, tmp_path: Pat
     node_credentials(site, Kind.CAMERA, "c1")  # with modes that are let through
     assert mode(root / "var/lib/trigpoint") == 0o700
     assert (root / "etc/systemd/system/trigpoint-edge@.service").is_file()
-    words = [root / "opt/trigpoint/bin/python", "-P", "-m", "trigpoint", "edge"]
-    said = subprocess.run(
-        words, capture_output=True, text=True, timeout=60, env={"PATH": os.environ["PATH"]}
-    )
-    assert said.stdout == "ran edge\n"
-    again = installed(place, root)
+    assert said_by(root) == "ran edge\n"
+    make_wheel(folder / "dist" / wheel_name(this_machine()), "runs")  # of the same version
+    again = installed(packed("camera", "c1", "--connect", SERVER), root)
     assert again.returncode == 0, again.stderr
+    assert said_by(root) == "runs edge\n"
 
 
 def test_archive_of_another_machine_is_not_installed(folder: Path, tmp_path: Path) -> None:

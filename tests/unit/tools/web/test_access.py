@@ -1,5 +1,6 @@
 """Who may see the page."""
 
+import socket
 from datetime import UTC, datetime, timedelta
 from ipaddress import ip_address
 from pathlib import Path
@@ -64,6 +65,21 @@ def checked(
     key: Path | None = None,
 ) -> Access:
     return checked_access(host, names=(), token=token, certificate=certificate, key=key)
+
+
+@pytest.mark.parametrize(
+    ("host", "names", "shown"),
+    [
+        ("127.0.0.1", ("board.lab",), "127.0.0.1"),
+        ("::1", (), "[::1]"),
+        ("0.0.0.0", ("board.lab", "other"), "board.lab"),
+        ("::", (), socket.gethostname()),
+    ],
+)
+def test_the_address_that_is_said_is_one_that_a_browser_opens(
+    host: str, names: tuple[str, ...], shown: str
+) -> None:
+    assert Access(host, (host, *names)).shown == shown
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "192.168.1.5", "::", "board.example.com"])

@@ -57,7 +57,11 @@ def test_a_cameras_counters_have_names_units_and_labels() -> None:
     health.count("sent lab/camera/c1/sightings", 6)
     found = samples("edge/c1", health)
     who = {"site": "lab", "node": "edge/c1", "camera": "c1"}
-    assert found == {
+    counted_never = (
+        *("detections_given_up", "faces", "nudges", "pictures_passed_over"),
+        *("rejected", "source_lost", "unsent"),
+    )
+    assert found == {f"trigpoint_{name}_total": (who, 0.0) for name in counted_never} | {
         "trigpoint_node_level": (who, 1.0),
         "trigpoint_report_timestamp_seconds": (who, 5.0),
         "trigpoint_pictures_total": (who, 7.0),

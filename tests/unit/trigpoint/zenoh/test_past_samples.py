@@ -60,6 +60,8 @@ class Listener:
     ) -> None:
         self.came: list[str] = []
         self.missed = 0
+        self.heard_on: set[int] = set()
+        self.asked_on: set[int] = set()
         self._session, self._lost = session, lost
         self._turns = ["unheard"] * unheard + ["broken"] * broken + ["holed"] * holed
         self.history = History(
@@ -72,6 +74,7 @@ class Listener:
 
     def get(self, selector: str, *words: object, **options: object) -> None:
         """Stands for the session's."""
+        self.asked_on.add(threading.get_ident())
         if (turn := self._turns.pop(0) if self._turns else "") == "unheard":
             selector = "nobody/here"
         elif turn == "broken":
@@ -83,6 +86,7 @@ class Listener:
         self._session.get(selector, *words, **options)  # pyright: ignore
 
     def _receive(self, sample: zenoh.Sample) -> None:
+        self.heard_on.add(threading.get_ident())
         if sample.payload.to_string() not in self._lost:
             self.history.receive(sample)
 
@@ -128,6 +132,21 @@ def test_what_is_lost_in_between_is_asked_for_until_its_sender_answers(
     assert eventually(lambda: listener.came[-1:] == ["9"])
     assert listener.came == [str(number) for number in range(10)]
     assert listener.missed == 0
+
+
+def test_nothing_is_asked_on_the_thread_that_hands_samples_on(
+    sessions: tuple[zenoh.Session, zenoh.Session],
+) -> None:
+    """Where a link closes, it holds the lock of Zenoh's tables, for which a question waits: a
+    fusion that was stopped for 12 s never heard or said anything again."""
+    publisher = sender(sessions[0])
+    listener = Listener(sessions[1], lost=("3", "4"))
+    assert eventually(lambda: meets(sessions[0]))
+    for number in range(10):
+        publisher.put(str(number))
+    assert eventually(lambda: listener.came[-1:] == ["9"])
+    assert listener.asked_on
+    assert not listener.asked_on & listener.heard_on
 
 
 def test_what_is_missing_from_every_answer_is_counted_in_the_end(
