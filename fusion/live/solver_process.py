@@ -29,6 +29,7 @@ from trigpoint.fusion.guidance.suggestions import suggestions
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.output import Output
 from trigpoint.fusion.solver.snapshot import GuidanceWorld
+from trigpoint.geometry import Pose
 from trigpoint.node.watchdog import Pulse
 
 from .coverage_thread import cover
@@ -270,16 +271,28 @@ def _cover(
 
 def _guide(world: Callable[[], GuidanceWorld | None], say: Callable[[News], None]) -> None:
     """Suggest every few seconds where each robot should go next."""
+    guide = Guide()
     while True:
         time.sleep(_GUIDANCE_PERIOD_S)
         known = world()
-        for found in suggested(known) if known is not None else ():
+        for found in guide.suggested(known) if known is not None else ():
             say(found)
 
 
-def suggested(known: GuidanceWorld) -> Iterator[Output]:
-    """Where each robot should go next."""
-    for robot, place in known.robots.items():
-        for found in suggestions(known, robot):
-            message = PoseStamped(place.stamp_ns, "map", found.map_from_base)
+class Guide:
+    """Suggests where each robot should go next; worked out again only where that may be another
+    place. Not thread-safe."""
+
+    def __init__(self) -> None:
+        self._before: GuidanceWorld | None = None
+        self._next: dict[str, Pose] = {}
+
+    def suggested(self, known: GuidanceWorld) -> Iterator[Output]:
+        """Where each robot should go next by what is known now."""
+        if self._before is None or not known.is_as(self._before):
+            found = (each for robot in known.robots for each in suggestions(known, robot))
+            self._next = {each.robot: each.map_from_base for each in found}
+            self._before = known
+        for robot, map_from_base in self._next.items():
+            message = PoseStamped(known.robots[robot].stamp_ns, "map", map_from_base)
             yield Output(topics.SUGGESTION, robot, message)

@@ -94,6 +94,10 @@ def align(
     near = search.near(prior)
     if near is not None:
         return near
+    # At a prior that is off by the distance of two faces, one is read as its neighbour.
+    best = search.everywhere()
+    if best is not None and search.fits(best.cost):
+        return best
     wild = search.wild_near(prior)
     if np.all(wild):
         return None
@@ -191,13 +195,17 @@ class _Search:
         if readings is None:
             return None
         poses, costs = self._solved(Pose.stack([prior.map_from_base]), readings[None])
-        freedom = 2 * int(np.sum(~self.wild))
-        if not costs[0] < freedom + 6 * np.sqrt(2 * freedom):
+        if not self.fits(float(costs[0])):
             return None
         margin = self._margin_at(poses, readings, float(costs[0]))
         if margin < _HOPELESS:
             return None
         return Alignment(poses[0], self._named(readings), float(costs[0]), margin, self.wild)
+
+    def fits(self, cost: float) -> bool:
+        """Whether the corners can have this cost, by their number."""
+        freedom = 2 * int(np.sum(~self.wild))
+        return cost < freedom + 6 * np.sqrt(2 * freedom)
 
     def _margin_at(self, pose: Pose, readings: np.ndarray, cost: float) -> float:
         """How much worse the observation fits with another reading of any one view, to first order

@@ -2,6 +2,7 @@
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import astuple
 from numpy.linalg import LinAlgError
 
 from trigpoint.fusion.model.dataset import DataSet
@@ -48,6 +49,15 @@ class RobotPlace(Struct, frozen=True):
     def tangent(self) -> list[int]:
         return PLANAR if self.planar else SPATIAL
 
+    def is_at(self, other: "RobotPlace") -> bool:
+        """Whether another is the same place, at whatever time."""
+        mine, theirs = (
+            (each.map_from_base.rotation, each.map_from_base.translation, *astuple(each.since))
+            for each in (self, other)
+        )
+        is_alike = self.noise == other.noise and self.slip == other.slip
+        return is_alike and all(map(np.array_equal, mine, theirs))
+
 
 def place_of(data: DataSet, known: Filter, robot: str) -> RobotPlace | None:
     """A robot at its last odometry message; None where odometry determines no way to it."""
@@ -84,7 +94,8 @@ class CameraViews(Struct, frozen=True):
 
 class GuidanceWorld(Struct, frozen=True):
     """What guidance works on. `information`: of the dense part by `layout`; `ways`: each robot's
-    solved poses in order; `views`: of the located cameras, each at its last place."""
+    solved poses in order; `views`: of the located cameras, each at its last place; `source`: the
+    filter and the solution that it is from."""
 
     layout: Layout
     information: Array
@@ -92,6 +103,15 @@ class GuidanceWorld(Struct, frozen=True):
     robots: dict[str, RobotPlace]
     ways: dict[str, Pose]
     views: dict[str, CameraViews]
+    source: tuple[Filter, Problem, State]
+
+    def is_as(self, other: "GuidanceWorld") -> bool:
+        """Whether it is known from nothing else, and each robot stands where it stood."""
+        return (
+            all(mine is theirs for mine, theirs in zip(self.source, other.source, strict=True))
+            and self.robots.keys() == other.robots.keys()
+            and all(place.is_at(other.robots[name]) for name, place in self.robots.items())
+        )
 
     @classmethod
     def of(cls, data: DataSet, known: Filter, problem: Problem, state: State) -> "GuidanceWorld":
@@ -103,11 +123,11 @@ class GuidanceWorld(Struct, frozen=True):
             if (place := place_of(data, known, name)) is not None
         }
         ways = {name: state.robots[name].map_from_base for name in problem.chains}
-        here = [name for name in data.site.cameras if name in known.reduced.layout.pose]
+        here = [name for name in data.site.cameras if name in known.layout.pose]
         views = {name: _views(problem, state, name) for name in here}
-        return cls(
-            known.reduced.layout, known.reduced.information, known.state, robots, ways, views
-        )
+        information = known.reduced.information
+        source = known, problem, state
+        return cls(known.layout, information, known.state, robots, ways, views, source)
 
 
 def _views(problem: Problem, state: State, camera: str) -> CameraViews:

@@ -10,11 +10,11 @@ from msgspec.structs import replace
 from support.fusion.drives import EPOCH_NS, STEP_S, Session, Way, lab_plan, make_session
 
 from trigpoint.base.clock import NANOSECONDS, to_ns
-from trigpoint.contract.messages import PoseStamped, Sightings
+from trigpoint.contract.messages import Odometry, PoseStamped, Sightings
 from trigpoint.fusion.guidance.candidates import DRIVEN_M, SEEN_M, Ground
 from trigpoint.fusion.guidance.expected_motion import expected_motion
 from trigpoint.fusion.guidance.suggestions import JointCovariance, Options, options, suggestions
-from trigpoint.fusion.live.solver_process import suggested
+from trigpoint.fusion.live.solver_process import Guide
 from trigpoint.fusion.model.odometry import OdometryTrack
 from trigpoint.fusion.pipeline import Pipeline
 from trigpoint.fusion.replaying import replayed
@@ -262,7 +262,7 @@ def test_camera_that_never_saw_a_target_is_not_expected_to_see_one(drive: Drive)
 
 
 def test_suggestion_goes_to_its_robot_in_the_map(drive: Drive) -> None:
-    (said,) = suggested(drive.world)
+    (said,) = Guide().suggested(drive.world)
     assert said.topic.key("lab", said.node) == "lab/robot/r1/suggestion"
     message = said.message
     assert isinstance(message, PoseStamped)
@@ -270,3 +270,40 @@ def test_suggestion_goes_to_its_robot_in_the_map(drive: Drive) -> None:
     assert message.stamp_ns == EPOCH_NS + to_ns(SECONDS)
     best = suggestions(drive.world, "r1")[0].map_from_base
     np.testing.assert_allclose(message.pose.difference(best), 0.0, atol=1e-9)
+
+
+# -- what is worked out again ---------------------------------------------------------------------
+
+
+def next_pose(guide: Guide, world: GuidanceWorld) -> Pose:
+    (said,) = guide.suggested(world)
+    assert isinstance(said.message, PoseStamped)
+    assert said.message.stamp_ns == world.robots["r1"].stamp_ns
+    return said.message.pose
+
+
+def test_suggestion_is_kept_until_a_robot_moves_or_more_is_known(drive: Drive) -> None:
+    pipeline, guide = copy.deepcopy(drive.pipeline), Guide()
+    pipeline.finish()
+    last = [message for _, message in drive.session.messages if isinstance(message, Odometry)][-1]
+
+    def after(seconds: float, moved: Pose) -> GuidanceWorld:
+        there = replace(last, stamp_ns=last.stamp_ns + to_ns(seconds), pose=last.pose @ moved)
+        pipeline.push("r1", there)
+        pipeline.advance()
+        world = pipeline.guidance_world()
+        assert world is not None
+        return world
+
+    still = Pose.identity()
+    first = next_pose(guide, after(0.1, still))
+    standing = after(0.2, still)
+    assert next_pose(guide, standing) is first
+    assert next_pose(Guide(), standing).difference(first) == pytest.approx(np.zeros(6))
+    gone = after(0.3, Pose.planar(0.05, 0.0, 0.0))
+    elsewhere = next_pose(guide, gone)
+    assert elsewhere is not first
+    known, problem, state = gone.source
+    learnt = replace(gone, source=(replace(known), problem, state))
+    assert next_pose(guide, gone) is elsewhere
+    assert next_pose(guide, learnt) is not elsewhere

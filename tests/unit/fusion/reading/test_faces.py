@@ -184,6 +184,22 @@ def test_identical_faces_are_told_apart_by_the_prior_alone() -> None:
     assert np.abs(informed.map_from_base.difference(pose)).max() < 0.02
 
 
+@pytest.mark.parametrize("most", [1, 2])
+def test_faces_are_told_apart_by_a_prior_that_is_off_by_the_distance_of_two(most: int) -> None:
+    """Read at the prior's middle, one looks like its neighbour."""
+    target, random = target_of("checkerboard"), np.random.default_rng(3)
+    for turn in np.linspace(0.0, 6.0, 12):
+        pose = Pose.planar(0.1, -0.1, float(turn))
+        observation, truth = picture(target, pose, most=most, noise=SIGMA)
+        off = random.normal(size=2)
+        off *= 0.17 / np.linalg.norm(off)
+        found = aligned(observation, target, sure(pose.disturbed([*off, 0, 0, 0, 0.02]), 0.1, 0.05))
+        assert found is not None
+        assert found.readings == truth
+        assert found.margin > 25.0
+        assert np.abs(found.map_from_base.difference(pose)).max() < 0.02
+
+
 def test_alignment_of_what_shows_nothing_is_none() -> None:
     target = target_of("charuco")
     view = View(np.array([0, 1]), np.array([[1.0, 1.0], [2.0, 2.0]]), SIGMA, (Reading(0),))
