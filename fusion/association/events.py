@@ -37,9 +37,10 @@ class Events(Struct, frozen=True):
         sigmas = self.priors.push_translation, self.priors.push_rotation
         return np.diag(np.square(np.repeat(sigmas, 3)))
 
-    def moved(self, apart: float) -> float:
-        """Return the score of a move of a camera, on top of that of its new pose anywhere in the
-        room: every other camera that was moved was only pushed.
+    def near(self, apart: float) -> float:
+        """Return the score of a pose of which every other is near an expected one, a push away, on
+        top of that of one anywhere in the room: of a camera that was moved, or of the board of a
+        wrong sighting.
 
         `apart`: νᵀS⁻¹ν + ln |S| of the difference of the two poses, S including a push.
         """
