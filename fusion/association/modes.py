@@ -162,7 +162,13 @@ class ModeFinder:
                 # A mode with some more wrong sightings is far outside the window.
                 own = mode.wrong + _MORE_WRONG
                 most = own if most is None else min(most, own)
-        return distinct(found + self._unmasked(problem, distinct(found)))
+        every = distinct(found + self._unmasked(problem, distinct(found)))
+        return distinct(
+            near
+            for mode in every
+            if mode.evidence < every[0].evidence + _WINDOW
+            for near in problem.with_near(mode)
+        )
 
     def _unmasked(self, problem: LocalProblem, found: list[Mode]) -> list[Mode]:
         """More modes near the best ones, each with another of the `likeliest_wrong` sets."""

@@ -143,7 +143,7 @@ class Search:
                 (other,) = set(pair) - {number}
                 cost = agreement(self.graph, hypothesis.placed, other, number, self.events.push)
                 apart = [log_sum(column) for column in cost.T.tolist()] - evidence
-                found += [self.events.near(each) for each in apart - self._alone(other)]
+                found += self.events.near(apart - self._alone(other))
         return found
 
     def _near(self, hypothesis: Hypothesis) -> list[tuple[int | Place, int | Place]]:
@@ -191,7 +191,7 @@ class Search:
         if (first, second) not in known:
             cost = agreement(self.graph, placed, first, second, self.events.push)
             apart = log_sum(cost.reshape(-1).tolist()) - self._alone(first) - self._alone(second)
-            known[first, second] = self.events.near(apart)
+            known[first, second] = float(self.events.near(apart))
         return known[first, second]
 
     def happened(self, hypothesis: Hypothesis) -> int:
