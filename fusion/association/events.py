@@ -64,6 +64,12 @@ class Events(Struct, frozen=True):
         return chi2_limit(6, EVIDENCE)
 
     @property
+    def doubt_gate(self) -> float:
+        """The χ² of a pose that a good sighting exceeds with the prior probability of a wrong
+        one."""
+        return chi2_limit(6, self.priors.wrong_sighting)
+
+    @property
     def wrong_limit(self) -> float:
         """The score above which a sighting is wrong: that of a board that may be anywhere."""
         return self.pose_score + self.wrong_score

@@ -3,6 +3,7 @@
 import numpy as np
 
 from trigpoint.geometry.rotation import Array
+from trigpoint.geometry.uncertainty import symmetric
 
 from .linear import Linear
 
@@ -40,7 +41,8 @@ def _dense(visit: Linear) -> tuple[Array, Array]:
     )
 
 
-def surprise(error: Array, spread: Array) -> Array:
-    """νᵀS⁻¹ν + ln |S| of innovations ν (n, 6) with covariances S (n, 6, 6)."""
+def surprise(error: Array, spread: Array) -> tuple[Array, Array]:
+    """νᵀS⁻¹ν and ln |S| of innovations ν (n, 6) with covariances S (n, 6, 6)."""
+    spread = symmetric(spread)
     pulled = np.linalg.solve(spread, error[..., None])[..., 0]
-    return np.sum(error * pulled, axis=1) + np.linalg.slogdet(spread)[1]
+    return np.sum(error * pulled, axis=1), np.linalg.slogdet(spread)[1]

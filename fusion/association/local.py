@@ -143,7 +143,8 @@ class LocalProblem:
 
     def with_near(self, mode: Mode) -> list[Mode]:
         """The mode with what is wrong in it as likely near where it should be as anywhere; and
-        those with one sighting more that is wrong, where the visit by itself hardly tells."""
+        those with one sighting more that is wrong, of those that are off by more than chance where
+        the visit by itself hardly tells."""
         wrong, linear = self.wrong_by(mode), self._by_views(mode)
         if linear is None:
             return [mode]
@@ -152,10 +153,12 @@ class LocalProblem:
             linear = replace(linear, own=linear.own + np.diag(jitter.variances))
         self.budget.spend_filtering(parts=len(linear.parts), unknowns=len(linear.prior))
         error, spread = innovations(linear, ~wrong[linear.parts], self.events.room_variances)
-        near[linear.parts] = self.events.near(surprise(error, spread + self.events.push))
-        over = surprise(error, spread) - self.events.wrong_limit - near[linear.parts]
+        near[linear.parts] = self.events.near(sum(surprise(error, spread + self.events.push)))
+        chi2, room = surprise(error, spread)
+        over = self.events.over_anywhere(chi2, room) - near[linear.parts]
         found = [mode.at(float(near[wrong].sum()))]
-        for view in np.array(linear.parts)[over > -window()]:
+        is_doubtful = (over > -window()) & (chi2 > self.events.doubt_gate)
+        for view in np.array(linear.parts)[is_doubtful]:
             more = wrong | (np.arange(len(wrong)) == view)
             other = None if wrong[view] else self._with_wrong(mode, more)
             if other is not None:
