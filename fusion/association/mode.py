@@ -53,6 +53,11 @@ class Mode(Struct, frozen=True):
         both = self.poses_covariance[rows][:, :, rows].reshape(len(free.T), -1)
         return self.poses[earlier].inverse() @ self.poses[later], free @ both @ free.T
 
+    def is_below(self, chi2: float) -> bool:
+        """Return whether the camera lies below the floor by more than this χ² of its height."""
+        height = self.map_from_camera.translation[2]
+        return bool(height < 0 and height**2 > chi2 * np.linalg.inv(self.information)[2, 2])
+
     def at(self, more: float) -> Self:
         """Return the mode with `more` on top of its scores."""
         return replace(self, score=self.score + more, evidence=self.evidence + more)

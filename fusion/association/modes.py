@@ -240,11 +240,11 @@ class ModeFinder:
 
     def _plausible(self, visit: Visit, found: list[Mode]) -> tuple[Mode, ...]:
         """The modes within the window; where one above the floor that the robot drives on fits
-        about as well as the best, without those below it (decisions/0611)."""
+        about as well as the best, without those surely below it (decisions/0611)."""
         best = min((mode.evidence for mode in found), default=np.inf)
         near = [mode for mode in found if mode.evidence < best + _WINDOW]
         if self.data.tracks[visit.robot].planar:
-            above = [mode for mode in near if mode.map_from_camera.translation[2] >= 0]
+            above = [mode for mode in near if not mode.is_below(window())]
             if above and above[0].evidence < best + window():
                 near = above
         return tuple(near)
