@@ -37,13 +37,14 @@ class Events(Struct, frozen=True):
         sigmas = self.priors.push_translation, self.priors.push_rotation
         return np.diag(np.square(np.repeat(sigmas, 3)))
 
-    def moved(self, apart: float) -> float:
-        """Return the score of a move of a camera, on top of that of its new pose anywhere in the
-        room: every other camera that was moved was only pushed.
+    def near(self, apart: Array | float) -> Array:
+        """Return the scores of poses of which every other is near an expected one, a push away, on
+        top of that of one anywhere in the room: of a camera that was moved, or of the board of a
+        wrong sighting.
 
         `apart`: νᵀS⁻¹ν + ln |S| of the difference of the two poses, S including a push.
         """
-        return -2 * float(np.logaddexp(0.0, 0.5 * (self.pose_score - apart)) - math.log(2))
+        return -2 * (np.logaddexp(0.0, 0.5 * (self.pose_score - apart)) - math.log(2))
 
     @property
     def wrong_score(self) -> float:
@@ -61,6 +62,12 @@ class Events(Struct, frozen=True):
         """The χ² of a pose (six degrees of freedom) that a good sighting exceeds with probability
         `EVIDENCE`."""
         return chi2_limit(6, EVIDENCE)
+
+    @property
+    def doubt_gate(self) -> float:
+        """The χ² of a pose that a good sighting exceeds with the prior probability of a wrong
+        one."""
+        return chi2_limit(6, self.priors.wrong_sighting)
 
     @property
     def wrong_limit(self) -> float:

@@ -162,7 +162,13 @@ class ModeFinder:
                 # A mode with some more wrong sightings is far outside the window.
                 own = mode.wrong + _MORE_WRONG
                 most = own if most is None else min(most, own)
-        return distinct(found + self._unmasked(problem, distinct(found)))
+        every = distinct(found + self._unmasked(problem, distinct(found)))
+        return distinct(
+            near
+            for mode in every
+            if mode.evidence < every[0].evidence + _WINDOW
+            for near in problem.with_near(mode)
+        )
 
     def _unmasked(self, problem: LocalProblem, found: list[Mode]) -> list[Mode]:
         """More modes near the best ones, each with another of the `likeliest_wrong` sets."""
@@ -234,11 +240,11 @@ class ModeFinder:
 
     def _plausible(self, visit: Visit, found: list[Mode]) -> tuple[Mode, ...]:
         """The modes within the window; where one above the floor that the robot drives on fits
-        about as well as the best, without those below it (decisions/0611)."""
+        about as well as the best, without those surely below it (decisions/0611)."""
         best = min((mode.evidence for mode in found), default=np.inf)
         near = [mode for mode in found if mode.evidence < best + _WINDOW]
         if self.data.tracks[visit.robot].planar:
-            above = [mode for mode in near if mode.map_from_camera.translation[2] >= 0]
+            above = [mode for mode in near if not mode.is_below(window())]
             if above and above[0].evidence < best + window():
                 near = above
         return tuple(near)

@@ -73,7 +73,7 @@ def _likeliest(
 
     def score(step: Array, covariance: Array) -> float:
         pushed = _innovation(step, covariance + events.push)
-        return prior + events.moved(pushed) - _innovation(step, covariance)
+        return prior + float(events.near(pushed)) - _innovation(step, covariance)
 
     moments = [(mine, number) for mine in asked for number in _moments(mine)]
     scores = [score(*places.moved(mine, number)) for mine, number in moments]

@@ -16,7 +16,7 @@ from support.fusion.drives import (
 )
 
 from trigpoint.fusion.association.engine import explain
-from trigpoint.fusion.association.events import Events
+from trigpoint.fusion.association.events import Events, window
 from trigpoint.fusion.association.explanation import CameraFinding
 from trigpoint.fusion.association.mode import VisitModes
 from trigpoint.fusion.association.modes import ModeFinder
@@ -258,3 +258,15 @@ def test_robot_is_not_seen_through_its_own_faces() -> None:
                 assert seen[target.faces.index(face.face)] == (share > 0.5)
                 hidden += share < 0.5
     assert hidden > 10
+
+
+@pytest.mark.parametrize(("sigma_m", "is_below"), [(0.3, False), (0.03, True)])
+def test_mode_is_below_the_floor_if_its_height_is_known_well_enough(
+    sigma_m: float, is_below: bool
+) -> None:
+    """Of a distant face the right pose was 0.3 m below, and the other one was taken, 3 m off."""
+    (mode, *_) = modes_of(seen_by_unknown_lens(0, 8, 0)[0]).modes
+    low = Pose(np.eye(3), np.array([0.0, 0.0, -0.3]))
+    information = np.eye(len(mode.information)) / sigma_m**2
+    camera = replace(mode.camera, map_from_camera=low)
+    assert replace(mode, camera=camera, information=information).is_below(window()) is is_below
