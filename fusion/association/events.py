@@ -17,6 +17,9 @@ from trigpoint.site.config import PriorConfig
 
 # The share of the posterior that all explanations that put a camera elsewhere may hold together.
 EVIDENCE = 1e-5
+# Of the cameras that were moved every other one was only pushed; of what is wrong, reflections and
+# other boards among it, less is near where it should be.
+PUSHED, WRONG_NEAR = 0.5, 0.1
 
 
 class Events(Struct, frozen=True):
@@ -37,14 +40,15 @@ class Events(Struct, frozen=True):
         sigmas = self.priors.push_translation, self.priors.push_rotation
         return np.diag(np.square(np.repeat(sigmas, 3)))
 
-    def near(self, apart: Array | float) -> Array:
-        """Return the scores of poses of which every other is near an expected one, a push away, on
-        top of that of one anywhere in the room: of a camera that was moved, or of the board of a
-        wrong sighting.
+    def near(self, apart: Array | float, share: float) -> Array:
+        """Return the scores of poses of which a `share` is near an expected one, a push away, on
+        top of that of one anywhere in the room: of a camera that was moved (`PUSHED`), or of the
+        board of a wrong sighting (`WRONG_NEAR`).
 
         `apart`: νᵀS⁻¹ν + ln |S| of the difference of the two poses, S including a push.
         """
-        return -2 * (np.logaddexp(0.0, 0.5 * (self.pose_score - apart)) - math.log(2))
+        near = math.log(share) + 0.5 * (self.pose_score - apart)
+        return -2 * np.logaddexp(math.log(1 - share), near)
 
     @property
     def wrong_score(self) -> float:

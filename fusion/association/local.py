@@ -20,7 +20,7 @@ from trigpoint.geometry.uncertainty import symmetric
 from trigpoint.native.library import In, Kernel, Out
 
 from .budget import Budget
-from .events import Events, window
+from .events import WRONG_NEAR, Events, window
 from .innovations import innovations, surprise
 from .linear import EQUATIONS, Linear, linearised, log_priors, unknowns_of
 from .mode import Mode
@@ -153,7 +153,8 @@ class LocalProblem:
             linear = replace(linear, own=linear.own + np.diag(jitter.variances))
         self.budget.spend_filtering(parts=len(linear.parts), unknowns=len(linear.prior))
         error, spread = innovations(linear, ~wrong[linear.parts], self.events.room_variances)
-        near[linear.parts] = self.events.near(sum(surprise(error, spread + self.events.push)))
+        apart = sum(surprise(error, spread + self.events.push))
+        near[linear.parts] = self.events.near(apart, WRONG_NEAR)
         chi2, room = surprise(error, spread)
         over = self.events.over_anywhere(chi2, room) - near[linear.parts]
         found = [mode.at(float(near[wrong].sum()))]

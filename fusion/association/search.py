@@ -18,7 +18,7 @@ from trigpoint.geometry.rotation import Array
 
 from .agreement import agreement
 from .budget import Budget
-from .events import Events, log_sum, window
+from .events import PUSHED, WRONG_NEAR, Events, log_sum, window
 from .graph import Factor, Graph, Place, Placed, Tie, Variant
 from .hypothesis import Hypothesis
 from .minimum import Minima
@@ -34,6 +34,9 @@ _MOST_HYPOTHESES = 64
 _MOST_FAR = 4
 _MOST_BREAKS = 3
 _MOST_PAIRS = 24
+
+# Two that may be near each other, and how likely that is: `Events.near`.
+Near = tuple[int | Place, int | Place, float]
 
 
 class _Join(Struct, frozen=True):
@@ -65,7 +68,7 @@ class Search:
         self.told = ToldMoves(graph)
         self._graphs = Minima(graph)
         # By graph, which many hypotheses that grow from one share: `_near_score`.
-        self._pushes = WeakKeyDictionary[Factor, dict[tuple[int | Place, int | Place], float]]()
+        self._pushes = WeakKeyDictionary[Factor, dict[Near, float]]()
         self._open_score = [
             log_sum(modes.evidence.tolist()) + events.pose_score for modes in graph.modes
         ]
@@ -130,7 +133,7 @@ class Search:
         score += sum(self._open_score[number] for number in hypothesis.open)
         score += sum(self.visits[number].nothing for number in hypothesis.nothing)
         score += self.events.happened(self.happened(hypothesis))
-        score += sum(self._near_score(hypothesis.placed, *pair) for pair in self._near(hypothesis))
+        score += sum(self._near_score(hypothesis.placed, near) for near in self._near(hypothesis))
         return replace(hypothesis, score=score)
 
     def mode_scores(self, hypothesis: Hypothesis, number: int) -> Array:
@@ -138,26 +141,27 @@ class Search:
         assert hypothesis.placed is not None
         evidence = self.graph.modes[number].evidence
         found = evidence.copy()
-        for pair in self._near(hypothesis):
+        for *pair, share in self._near(hypothesis):
             if number in pair:
                 (other,) = set(pair) - {number}
                 cost = agreement(self.graph, hypothesis.placed, other, number, self.events.push)
                 apart = [log_sum(column) for column in cost.T.tolist()] - evidence
-                found += self.events.near(apart - self._alone(other))
+                found += self.events.near(apart - self._alone(other), share)
         return found
 
-    def _near(self, hypothesis: Hypothesis) -> list[tuple[int | Place, int | Place]]:
+    def _near(self, hypothesis: Hypothesis) -> list[Near]:
         """Return what may be near each other though not at one place: a camera's places before and
         after it was moved, and what a single picture shows that is wrong and its place then. Each
         is a place of the graph or, where that is open, the number of a visit."""
-        found = [pair for places in self._places(hypothesis).values() for pair in pairwise(places)]
+        moved = self._places(hypothesis).values()
+        found: list[Near] = [(*pair, PUSHED) for places in moved for pair in pairwise(places)]
         for number in hypothesis.nothing:
             visit = self.visits[number]
             if visit.modes and visit.is_one_picture:
                 mine = of_camera(hypothesis, self.visits, visit.visit.camera)
                 then = max((n for n in mine if n < number), default=min(mine, default=None))
                 if then is not None:
-                    found.append((self._spot(hypothesis, then), number))
+                    found.append((self._spot(hypothesis, then), number, WRONG_NEAR))
         return found
 
     def _spot(self, hypothesis: Hypothesis, number: int) -> int | Place:
@@ -185,14 +189,15 @@ class Search:
             found[camera] = [places[key] for key in sorted(places) if key[0] == camera]
         return found
 
-    def _near_score(self, placed: Placed, first: int | Place, second: int | Place) -> float:
+    def _near_score(self, placed: Placed, near: Near) -> float:
         """Return `Events.near` of what is `_near`."""
         known = self._pushes.setdefault(placed.factor, {})
-        if (first, second) not in known:
+        if near not in known:
+            first, second, share = near
             cost = agreement(self.graph, placed, first, second, self.events.push)
             apart = log_sum(cost.reshape(-1).tolist()) - self._alone(first) - self._alone(second)
-            known[first, second] = float(self.events.near(apart))
-        return known[first, second]
+            known[near] = float(self.events.near(apart, share))
+        return known[near]
 
     def happened(self, hypothesis: Hypothesis) -> int:
         """Return the number of lifts and moves in a hypothesis, but for moves that were told."""

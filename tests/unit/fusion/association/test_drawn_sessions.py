@@ -30,6 +30,8 @@ LONG = pytest.mark.long
         pytest.param("space", 12, id="robot in space"),
         # A camera's last picture before the lift is stamped later than another's first after it.
         pytest.param("everything", 39, id="lift between clocks", marks=LONG),
+        # Of single pictures the last hundredth of a step was taken for a contradiction.
+        pytest.param("everything", 79, id="single pictures, lenses unknown"),
         # The first of two robots that look alike explained 24 of the other's 8,000 sightings.
         pytest.param("everything", 82, id="robots alike", marks=LONG),
         # A visit whose first sighting is its only one before the lift: a camera was 5.5 m off.
@@ -63,18 +65,11 @@ def test_single_picture_that_is_off_by_little_may_be_wrong(tmp_path: Path) -> No
     assert_where_they_say(located, places)
 
 
-def test_last_hundredth_of_a_step_is_no_contradiction_of_single_pictures(tmp_path: Path) -> None:
-    """Their lenses are unknown. Of a camera's two pictures either may be wrong by little."""
-    located, places = located_of("everything", 79, tmp_path)
-    assert places.keys() - located.keys() == {"c3"}
-    assert_where_they_say(located, places)
-
-
 def test_sighting_of_a_visit_that_is_off_by_little_may_be_wrong(tmp_path: Path) -> None:
     """Displaced by 8 px, 4 sigmas, in the second of three pictures that odometry hardly ties: its
-    camera was 14 cm off at 7 sigmas, and others at 5."""
+    camera was 14 cm off at 7 sigmas, and others at 5. One that hangs on it is open too."""
     located, places = located_of("everything", 138, tmp_path)
-    assert places.keys() - located.keys() == {"c2"}
+    assert places.keys() - located.keys() == {"c2", "c4"}
     assert_where_they_say(located, places)
 
 
