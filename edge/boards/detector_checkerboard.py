@@ -44,6 +44,7 @@ class CheckerboardDetector(FaceFinder):
         looks = [look for look in looks if look.face.pattern is Pattern.CHECKERBOARD]
         self._looks = tuple(looks)
         self._unexpected = unexpected(looks)
+        self._lines: dict[Appearance, str] = {}
         extents = [(look.face.columns - 1, look.face.rows - 1) for look in looks]
         self._longest = max(max(extent) for extent in extents)
         self._least = min(TUNING.least_share * width * height for width, height in extents)
@@ -67,6 +68,9 @@ class CheckerboardDetector(FaceFinder):
         if not found and min(grey.shape) >= 64 and not is_over():
             source = _Source(grey, everything, 2)
             found = self._search(half, half.take_half(whole), source, _Allowance(is_over))
+        for board in found:
+            self._lines.pop(board.look, None)
+        self.misdescribed = tuple(self._lines.values())
         return found
 
     def follow(
@@ -168,7 +172,7 @@ class CheckerboardDetector(FaceFinder):
         if board is None or _measured(board, source, is_over) is None:
             return
         described, line = self._unexpected[board.look]
-        self.misdescribed = (*self.misdescribed, line)
+        self._lines[described] = line
         self._expect_no_other(described)
 
     def _expect_no_other(self, described: Appearance) -> None:

@@ -82,7 +82,7 @@ class MisdescribedBoards:
         picture mends; those of the same target, printed and described together, until they were
         seen so often as the file has them; and those that are contradicted too often, as long as
         they are."""
-        targets = {look.target for look in self._disproven}
+        targets = {look.target for look in self._disproven} - {""}
         doubted = {look for look in self._looks if look.target in targets}
         often = {look for look in self._denials if self._is_often_denied(look)}
         return (

@@ -83,7 +83,8 @@ def main(
     """Look through one camera, without a site file: what it sees of a target, live on a page and in
     the terminal, and its lens, once the board was shown all over the picture.
 
-    It runs until --seconds or Ctrl-C, with --no-page until the source's end.
+    It runs until Ctrl-C; with --seconds or --no-page until then or the source's end, and with
+    --no-page until the lens is taken.
     """
     url = source_url(source)
     width, height = picture_size(size)

@@ -53,9 +53,10 @@ class Access(Struct, frozen=True):
     def shown(self) -> str:
         """What a browser asks for: a further name, or the machine's, where `host` is all of its
         addresses, which is none."""
-        if self.host not in ("0.0.0.0", "::"):
-            return f"[{self.host}]" if ":" in self.host else self.host
-        return next((name for name in self.names if name != self.host), socket.gethostname())
+        name, address = self.host, _address(self.host)
+        if address is not None and address.is_unspecified:
+            name = next((name for name in self.names if name != self.host), socket.gethostname())
+        return f"[{name}]" if ":" in name else name
 
 
 def checked_access(

@@ -37,13 +37,15 @@ Sender = tuple[str, int]
 
 class _Question(Struct):
     """What of `key` is asked for: from number `begin` to the latest of the samples, by number, that
-    wait in `held` meanwhile. `is_answered`: whether the answer came to its end; `brought`: how many
-    samples were in it that had not come; `fruitless`: how many answers in a row brought none."""
+    wait in `held` meanwhile. `is_asked`: whether an answer may come; `is_answered`: whether it came
+    to its end; `brought`: how many samples were in it that had not come; `fruitless`: how many
+    answers in a row brought none."""
 
     key: str
     begin: int
     held: dict[int, zenoh.Sample]
     until_s: float = field(default_factory=lambda: time.monotonic() + _PATIENCE_S)
+    is_asked: bool = False
     is_answered: bool = False
     brought: int = 0
     fruitless: int = 0
@@ -94,6 +96,8 @@ class History:
             if number <= expected:
                 self._pass(sender, {number: sample}, expected)
                 return
+            if self._is_closed:
+                return
             begin = max(expected, number - self._depth)
             question = _Question(str(sample.key_expr), begin, {number: sample})
             self._questions[sender] = question
@@ -118,10 +122,12 @@ class History:
         """Ask for the latest that came, too: its sender has it, and answers with it last."""
         zid, entity = sender
         with self._lock:
+            if self._is_closed:
+                return
             latest = max(question.held)
             while question.begin in question.held:
                 question.begin += 1
-            question.is_answered, question.brought = False, 0
+            question.is_asked, question.is_answered, question.brought = True, False, 0
 
         def take(reply: zenoh.Reply) -> None:
             if (sample := reply.ok) is not None and (info := sample.source_info) is not None:
@@ -146,10 +152,11 @@ class History:
 
     def _end(self, sender: Sender, question: _Question) -> None:
         """Hand on the waiting samples, which later ones follow; or ask again, if the answer never
-        came, broke off or had holes."""
+        came, broke off or had holes. Of a closed session it is called twice."""
         with self._lock:
-            if self._is_closed:
+            if self._is_closed or not question.is_asked:
                 return
+            question.is_asked = False
             if not question.is_done(self._depth) and time.monotonic() < question.until_s:
                 self._ask_later(sender, question, _AGAIN_S)
                 return

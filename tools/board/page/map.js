@@ -256,7 +256,7 @@ export class SiteMap {
       const to = pointed(event);
       this.move(from.x - to.x, from.y - to.y);
     });
-    addEventListener("pointerup", () => { from = null; });
+    for (const end of ["pointerup", "pointercancel"]) addEventListener(end, () => { from = null; });
     svg.addEventListener("keydown", (event) => {
       const steps = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }[event.key];
       if (steps) this.move(0.1 * this.box.w * steps[0], 0.1 * this.box.h * steps[1]);

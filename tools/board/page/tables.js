@@ -85,7 +85,7 @@ export class Tables {
     this.cells(row, [null, state, camera.sigma ? centimetres(camera.sigma) : "–", runs, camera.seen ? `${spoken(now - camera.seen)} ago` : "never", place, looks]);
     row.cells[1].className = camera.state === "located" ? "good" : "open";
     row.cells[3].className = isLive ? "" : "bad";
-    row.classList.toggle("fine", camera.state === "located" && !camera.stale && isLive);
+    row.classList.toggle("fine", camera.state === "located" && !isUnheard(camera, node) && isLive);
   }
 
   node(name, node) {

@@ -258,6 +258,15 @@ def test_two_rows_of_a_part_tell_its_layout(*, legacy: bool) -> None:
         assert wrong.detect(part) == ()
 
 
+def test_another_checkerboard_is_said_until_the_files_own_is_seen() -> None:
+    own, other = checkerboard(9, 6), checkerboard(10, 7)
+    detector = detector_for([target_of(own)])
+    assert detector.detect(picture_of([placed(other)])) == ()
+    assert detector.misdescribed
+    assert detector.detect(picture_of([placed(own)]))
+    assert detector.misdescribed == ()
+
+
 def test_where_one_face_is_of_another_layout_the_others_are_not_believed_at_once() -> None:
     """Faces are printed together: a part of another one that fits the file as well waits until it
     was seen so several times."""

@@ -1,5 +1,7 @@
 """Alarms have the words of `status`, and times."""
 
+import pytest
+
 from trigpoint.contract.messages import DiagnosticStatus
 from trigpoint.tools.board.alarms import Alarms
 from trigpoint.tools.board.entities import Fields
@@ -60,16 +62,18 @@ def test_a_node_is_said_in_the_words_of_status() -> None:
     assert (node["age"], node["lost"]) == (12, 3)
 
 
-def test_an_agent_that_says_nothing_says_no_age_of_its_pictures() -> None:
+@pytest.mark.parametrize("state", ["silent", "gone"])
+def test_an_agent_that_says_nothing_says_no_age_of_its_pictures(state: str) -> None:
     feed, alarms = Feed(), Alarms()
     one = DiagnosticStatus(
         0, "edge/c1", "running", "pc", {"picture_age_s": "0.1", "source": "runs"}
     )
-    for statuses in ([one], []):
-        status = summarise("lab", peers=1, tokens=["lab/alive/edge/c1"], statuses=statuses)
+    tokens, later = ["lab/alive/edge/c1"], [] if state == "silent" else [one]
+    for alive, statuses in ((tokens, [one]), (tokens if state == "silent" else [], later)):
+        status = summarise("lab", peers=1, tokens=alive, statuses=statuses)
         feed.update(alarms.look(status, 0.0), 0.0)
     node = feed.whole()["node/edge/c1"]
-    assert (node["state"], node["age"], node["source"]) == ("silent", None, None)
+    assert (node["state"], node["age"], node["source"]) == (state, None, None)
 
 
 def test_a_node_that_is_gone_from_the_look_is_gone_from_the_page() -> None:

@@ -133,15 +133,17 @@ def test_the_page_of_a_folder_stays_until_it_is_stopped(shots: Path, here: Path)
     words = [sys.executable, "-m", "trigpoint", "look", str(shots), "--port", "0", "--rate", "200"]
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as looking:
         assert looking.stdout is not None
-        said = []
-        for line in looking.stdout:
-            said.append(line)
-            if "stays" in line:
-                break
-        assert said[-1] == "it has ended; the lens is in c1.yaml; the page stays until Ctrl-C\n"
-        with Visitor(said[0].split()[-1]).events() as told:
-            assert next(told)["over"] == "it has ended; the lens is in c1.yaml"
-        looking.send_signal(signal.SIGINT)
+        try:
+            said = []
+            for line in looking.stdout:
+                said.append(line)
+                if "stays" in line:
+                    break
+            assert said[-1] == "it has ended; the lens is in c1.yaml; the page stays until Ctrl-C\n"
+            with Visitor(said[0].split()[-1]).events() as told:
+                assert next(told)["over"] == "it has ended; the lens is in c1.yaml"
+        finally:
+            looking.send_signal(signal.SIGINT)
     assert looking.returncode == 0
 
 

@@ -5,6 +5,7 @@ import json
 import threading
 from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack
+from types import SimpleNamespace
 
 import pytest
 import zenoh
@@ -137,8 +138,7 @@ def test_what_is_lost_in_between_is_asked_for_until_its_sender_answers(
 def test_nothing_is_asked_on_the_thread_that_hands_samples_on(
     sessions: tuple[zenoh.Session, zenoh.Session],
 ) -> None:
-    """Where a link closes, it holds the lock of Zenoh's tables, for which a question waits: a
-    fusion that was stopped for 12 s never heard or said anything again."""
+    """Where a link closes, it holds the lock of Zenoh's tables, for which a question waits."""
     publisher = sender(sessions[0])
     listener = Listener(sessions[1], lost=("3", "4"))
     assert eventually(lambda: meets(sessions[0]))
@@ -147,6 +147,36 @@ def test_nothing_is_asked_on_the_thread_that_hands_samples_on(
     assert eventually(lambda: listener.came[-1:] == ["9"])
     assert listener.asked_on
     assert not listener.asked_on & listener.heard_on
+
+
+class Closed:
+    """A closed session: it ends what is asked of it, and raises as well."""
+
+    asked = 0
+
+    def get(self, selector: str, handler: "zenoh.handlers.Callback[object]", **_: object) -> None:
+        self.asked += 1
+        if handler.drop is not None:
+            handler.drop()
+        raise zenoh.ZError("the session is closed")
+
+
+def test_of_a_closed_session_one_question_is_asked_at_a_time() -> None:
+    session, came = Closed(), list[zenoh.Sample]()
+    history = History(session, KEPT, came.append, print)  # pyright: ignore
+    identity = SimpleNamespace(zid="ab", eid=1)
+    about = SimpleNamespace(source_id=identity, source_sn=5)
+    history.receive(SimpleNamespace(key_expr=KEY, source_info=about))  # pyright: ignore
+
+    def waiting() -> int:
+        timers = [each for each in threading.enumerate() if isinstance(each, threading.Timer)]
+        return sum(getattr(timer.function, "__self__", None) is history for timer in timers)
+
+    assert eventually(lambda: session.asked > 2 and waiting() > 0)
+    assert waiting() == 1
+    history.close()
+    assert eventually(lambda: waiting() == 0)
+    assert came == []
 
 
 def test_what_is_missing_from_every_answer_is_counted_in_the_end(
