@@ -17,9 +17,6 @@ from trigpoint.site.config import PriorConfig
 
 # The share of the posterior that all explanations that put a camera elsewhere may hold together.
 EVIDENCE = 1e-5
-# Of the cameras that were moved every other one was only pushed; of what is wrong, reflections and
-# other boards among it, less is near where it should be.
-PUSHED, WRONG_NEAR = 0.5, 0.1
 
 
 class Events(Struct, frozen=True):
@@ -40,15 +37,13 @@ class Events(Struct, frozen=True):
         sigmas = self.priors.push_translation, self.priors.push_rotation
         return np.diag(np.square(np.repeat(sigmas, 3)))
 
-    def near(self, apart: Array | float, share: float) -> Array:
-        """Return the scores of poses of which a `share` is near an expected one, a push away, on
-        top of that of one anywhere in the room: of a camera that was moved (`PUSHED`), or of the
-        board of a wrong sighting (`WRONG_NEAR`).
+    def moved(self, apart: float) -> float:
+        """Return the score of a move of a camera, on top of that of its new pose anywhere in the
+        room: every other camera that was moved was only pushed.
 
         `apart`: νᵀS⁻¹ν + ln |S| of the difference of the two poses, S including a push.
         """
-        near = math.log(share) + 0.5 * (self.pose_score - apart)
-        return -2 * np.logaddexp(math.log(1 - share), near)
+        return -2 * float(np.logaddexp(0.0, 0.5 * (self.pose_score - apart)) - math.log(2))
 
     @property
     def wrong_score(self) -> float:
@@ -66,12 +61,6 @@ class Events(Struct, frozen=True):
         """The χ² of a pose (six degrees of freedom) that a good sighting exceeds with probability
         `EVIDENCE`."""
         return chi2_limit(6, EVIDENCE)
-
-    @property
-    def doubt_gate(self) -> float:
-        """The χ² of a pose that a good sighting exceeds with the prior probability of a wrong
-        one."""
-        return chi2_limit(6, self.priors.wrong_sighting)
 
     @property
     def wrong_limit(self) -> float:

@@ -20,8 +20,7 @@ from trigpoint.geometry.uncertainty import symmetric
 from trigpoint.native.library import In, Kernel, Out
 
 from .budget import Budget
-from .events import WRONG_NEAR, Events, window
-from .innovations import innovations, surprise
+from .events import Events, window
 from .linear import EQUATIONS, Linear, linearised, log_priors, unknowns_of
 from .mode import Mode
 from .trial import Ending, Pictures, Trial, Work
@@ -124,69 +123,32 @@ class LocalProblem:
     def residuals(self, mode: Mode) -> Linear | None:
         """The visit linearised about a mode, with each picture as one part and without what the
         mode has as wrong; None where that tells nothing about the noise."""
-        return linearised(self._at(mode, self.wrong_by(mode)), by_pictures=True)
+        views = self._pictures.views
+        readings = [reading for row in mode.readings.values() for reading in row]
+        trial = Trial(self._pictures, mode.camera, self._stood(mode), self.wrong_by(mode))
+        chosen = zip(views, readings, strict=True)
+        trial.chosen[:] = [view.readings.index(r) if r is not None else 0 for view, r in chosen]
+        trial.wild[:] = np.concatenate([wild for row in mode.wild.values() for wild in row])
+        return linearised(trial, by_pictures=True)
 
     def likeliest_wrong(self, mode: Mode) -> list[np.ndarray]:
         """The likeliest sets of wrong views, (v,) bool each, best first, by the visit linearised
         about a mode. Judged one after the other they would never be found, since several agree by
         chance."""
-        linear = self._by_views(mode)
+        none = np.zeros(len(self._pictures.views), dtype=bool)
+        trial = Trial(self._pictures, mode.camera, self._stood(mode), none)
+        if trial.round(Work.READ) is Ending.NOTHING_FITS:
+            return []
+        linear = linearised(trial, by_pictures=False)
         if linear is None:
             return []
         self.budget.spend_filtering(parts=len(linear.parts), unknowns=len(linear.prior))
         found = []
         for flags in likeliest_wrong(linear, self.data.jitter.get(self.robot), self.events):
-            wrong = np.ones(len(self._pictures.views), dtype=bool)
+            wrong = np.ones(len(trial.wrong), dtype=bool)
             wrong[linear.parts] = flags
             found.append(wrong)
         return found
-
-    def with_near(self, mode: Mode) -> list[Mode]:
-        """The mode with what is wrong in it as likely near where it should be as anywhere; and
-        those with one sighting more that is wrong, of those that are off by more than chance where
-        the visit by itself hardly tells."""
-        wrong, linear = self.wrong_by(mode), self._by_views(mode)
-        if linear is None:
-            return [mode]
-        jitter, near = self.data.jitter.get(self.robot), np.zeros(len(wrong))
-        if jitter is not None:
-            linear = replace(linear, own=linear.own + np.diag(jitter.variances))
-        self.budget.spend_filtering(parts=len(linear.parts), unknowns=len(linear.prior))
-        error, spread = innovations(linear, ~wrong[linear.parts], self.events.room_variances)
-        apart = sum(surprise(error, spread + self.events.push))
-        near[linear.parts] = self.events.near(apart, WRONG_NEAR)
-        chi2, room = surprise(error, spread)
-        over = self.events.over_anywhere(chi2, room) - near[linear.parts]
-        found = [mode.at(float(near[wrong].sum()))]
-        is_doubtful = (over > -window()) & (chi2 > self.events.doubt_gate)
-        for view in np.array(linear.parts)[is_doubtful]:
-            more = wrong | (np.arange(len(wrong)) == view)
-            other = None if wrong[view] else self._with_wrong(mode, more)
-            if other is not None:
-                found.append(other.at(float(near[more].sum())))
-        return found
-
-    def _by_views(self, mode: Mode) -> Linear | None:
-        """The visit linearised about a mode, with each view as one part and none of them wrong."""
-        none = np.zeros(len(self._pictures.views), dtype=bool)
-        trial = Trial(self._pictures, mode.camera, self._stood(mode), none)
-        fits = trial.round(Work.READ) is not Ending.NOTHING_FITS
-        return linearised(trial, by_pictures=False) if fits else None
-
-    def _with_wrong(self, mode: Mode, wrong: np.ndarray) -> Mode | None:
-        """A mode with other views wrong, (v,), whatever they say by themselves."""
-        trial = self._at(mode, wrong)
-        ending = self._gone_on(trial, Work.SOLVE)
-        return None if ending is Ending.NOTHING_FITS else self._mode(trial)
-
-    def _at(self, mode: Mode, wrong: np.ndarray) -> Trial:
-        """A trial that begins at a mode, read as there, with these views wrong, (v,)."""
-        trial = Trial(self._pictures, mode.camera, self._stood(mode), wrong)
-        readings = [reading for row in mode.readings.values() for reading in row]
-        chosen = zip(self._pictures.views, readings, strict=True)
-        trial.chosen[:] = [view.readings.index(r) if r is not None else 0 for view, r in chosen]
-        trial.wild[:] = np.concatenate([wild for row in mode.wild.values() for wild in row])
-        return trial
 
     def _stood(self, mode: Mode) -> Pose:
         return Pose.stack([mode.poses[index] for index in self.observations])

@@ -1,10 +1,7 @@
 """A mode of one visit: a pose of its camera that the visit allows, and all that goes with it."""
 
-from typing import Self
-
 import numpy as np
 from msgspec import Struct
-from msgspec.structs import replace
 
 from trigpoint.fusion.model.observations import Reading
 from trigpoint.fusion.model.problem import CameraState
@@ -57,10 +54,6 @@ class Mode(Struct, frozen=True):
         """Return whether the camera lies below the floor by more than this χ² of its height."""
         height = self.map_from_camera.translation[2]
         return bool(height < 0 and height**2 > chi2 * np.linalg.inv(self.information)[2, 2])
-
-    def at(self, more: float) -> Self:
-        """Return the mode with `more` on top of its scores."""
-        return replace(self, score=self.score + more, evidence=self.evidence + more)
 
     @property
     def wrong(self) -> int:

@@ -162,13 +162,7 @@ class ModeFinder:
                 # A mode with some more wrong sightings is far outside the window.
                 own = mode.wrong + _MORE_WRONG
                 most = own if most is None else min(most, own)
-        every = distinct(found + self._unmasked(problem, distinct(found)))
-        return distinct(
-            near
-            for mode in every
-            if mode.evidence < every[0].evidence + _WINDOW
-            for near in problem.with_near(mode)
-        )
+        return distinct(found + self._unmasked(problem, distinct(found)))
 
     def _unmasked(self, problem: LocalProblem, found: list[Mode]) -> list[Mode]:
         """More modes near the best ones, each with another of the `likeliest_wrong` sets."""

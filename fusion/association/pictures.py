@@ -15,9 +15,9 @@ from trigpoint.fusion.model.projection import projected
 from trigpoint.fusion.reading.best_readings import best_readings, groups_of
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
+from trigpoint.geometry.uncertainty import symmetric
 
 from .events import Events
-from .innovations import surprise
 from .sightings import all_without_wild
 
 # How many pictures are read at once: some megabytes of derivatives.
@@ -115,7 +115,7 @@ class PictureReader:
         before = own + drift[owner]
         if self.jitter is not None:
             before = before + 2 * np.diag(self.jitter.variances)
-        chi2, room = surprise(step, before + own)
+        chi2, room = _surprise(step, before + own)
         order = np.lexsort((self._excess(chi2, room), owner))
         rank = np.zeros(len(owner), dtype=int)
         rank[order] = np.arange(len(owner)) - np.searchsorted(owner[order], owner[order])
@@ -127,7 +127,7 @@ class PictureReader:
             place = owner[rows]
             prior = known[place] if turn else before[rows]
             error, spread = step[rows] - mean[place], prior + own[rows]
-            chi2, room = surprise(error, spread)
+            chi2, room = _surprise(error, spread)
             fits = self._excess(chi2, room) < 0
             if turn:
                 is_right[rows] = fits
@@ -157,3 +157,10 @@ class PictureReader:
         found = projected(camera.lens, map_from_base, points, camera.map_from_camera)
         weight = is_there[..., None] / np.array([view.sigma for view in views])[:, None, None]
         return found.by_body * weight[..., None], (found.pixels - pixels) * weight
+
+
+def _surprise(error: Array, spread: Array) -> tuple[Array, Array]:
+    """νᵀS⁻¹ν and ln|S| of errors ν (v, 6) with covariances S (v, 6, 6)."""
+    spread = symmetric(spread)
+    pulled = np.linalg.solve(spread, error[..., None])[..., 0]
+    return np.sum(error * pulled, axis=1), np.linalg.slogdet(spread)[1]

@@ -14,11 +14,9 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from trigpoint.geometry.rotation import Array
-
 from .agreement import agreement
 from .budget import Budget
-from .events import PUSHED, WRONG_NEAR, Events, log_sum, window
+from .events import Events, log_sum, window
 from .graph import Factor, Graph, Place, Placed, Tie, Variant
 from .hypothesis import Hypothesis
 from .minimum import Minima
@@ -34,9 +32,6 @@ _MOST_HYPOTHESES = 64
 _MOST_FAR = 4
 _MOST_BREAKS = 3
 _MOST_PAIRS = 24
-
-# Two that may be near each other, and how likely that is: `Events.near`.
-Near = tuple[int | Place, int | Place, float]
 
 
 class _Join(Struct, frozen=True):
@@ -67,8 +62,8 @@ class Search:
         self.visits, self.is_cut = graph.visits, False
         self.told = ToldMoves(graph)
         self._graphs = Minima(graph)
-        # By graph, which many hypotheses that grow from one share: `_near_score`.
-        self._pushes = WeakKeyDictionary[Factor, dict[Near, float]]()
+        # By graph, which many hypotheses that grow from one share: `_moved_score`.
+        self._pushes = WeakKeyDictionary[Factor, dict[tuple[int | Place, int | Place], float]]()
         self._open_score = [
             log_sum(modes.evidence.tolist()) + events.pose_score for modes in graph.modes
         ]
@@ -133,48 +128,12 @@ class Search:
         score += sum(self._open_score[number] for number in hypothesis.open)
         score += sum(self.visits[number].nothing for number in hypothesis.nothing)
         score += self.events.happened(self.happened(hypothesis))
-        score += sum(self._near_score(hypothesis.placed, near) for near in self._near(hypothesis))
+        score += sum(
+            self._moved_score(hypothesis, earlier, later)
+            for places in self._places(hypothesis).values()
+            for earlier, later in pairwise(places)
+        )
         return replace(hypothesis, score=score)
-
-    def mode_scores(self, hypothesis: Hypothesis, number: int) -> Array:
-        """Return the scores (k,) of the modes of a visit that is the only one to its place."""
-        assert hypothesis.placed is not None
-        evidence = self.graph.modes[number].evidence
-        found = evidence.copy()
-        for *pair, share in self._near(hypothesis):
-            if number in pair:
-                (other,) = set(pair) - {number}
-                cost = agreement(self.graph, hypothesis.placed, other, number, self.events.push)
-                apart = [log_sum(column) for column in cost.T.tolist()] - evidence
-                found += self.events.near(apart - self._alone(other), share)
-        return found
-
-    def _near(self, hypothesis: Hypothesis) -> list[Near]:
-        """Return what may be near each other though not at one place: a camera's places before and
-        after it was moved, and what a single picture shows that is wrong and its place then. Each
-        is a place of the graph or, where that is open, the number of a visit."""
-        moved = self._places(hypothesis).values()
-        found: list[Near] = [(*pair, PUSHED) for places in moved for pair in pairwise(places)]
-        for number in hypothesis.nothing:
-            visit = self.visits[number]
-            if visit.modes and visit.is_one_picture:
-                mine = of_camera(hypothesis, self.visits, visit.visit.camera)
-                then = max((n for n in mine if n < number), default=min(mine, default=None))
-                if then is not None:
-                    found.append((self._spot(hypothesis, then), number, WRONG_NEAR))
-        return found
-
-    def _spot(self, hypothesis: Hypothesis, number: int) -> int | Place:
-        """Return the place that a visit shows: of the graph or, where it is open, the visit."""
-        if number in hypothesis.open:
-            return number
-        return self.visits[number].visit.camera, hypothesis.ties[number].place
-
-    def _alone(self, which: int | Place) -> float:
-        """Return the score of a visit by itself, less that of a pose."""
-        if isinstance(which, int):
-            return self._open_score[which] - self.events.pose_score
-        return 0.0
 
     def _places(self, hypothesis: Hypothesis) -> dict[str, list[int | Place]]:
         """Return, for each camera that was moved, its places in order of time: each as a place of
@@ -189,15 +148,37 @@ class Search:
             found[camera] = [places[key] for key in sorted(places) if key[0] == camera]
         return found
 
-    def _near_score(self, placed: Placed, near: Near) -> float:
-        """Return `Events.near` of what is `_near`."""
+    def _moved_score(
+        self, hypothesis: Hypothesis, earlier: int | Place, later: int | Place
+    ) -> float:
+        """Return the score of a camera's move from one of its places to the next, which may have
+        been only a push (`Events.moved`). A single picture never shows a push: one that is off by
+        little is likelier wrong."""
+        placed = hypothesis.placed
+        assert placed is not None
+        if self._is_one_picture(hypothesis, earlier) or self._is_one_picture(hypothesis, later):
+            return self.events.moved(np.inf)
         known = self._pushes.setdefault(placed.factor, {})
-        if near not in known:
-            first, second, share = near
-            cost = agreement(self.graph, placed, first, second, self.events.push)
-            apart = log_sum(cost.reshape(-1).tolist()) - self._alone(first) - self._alone(second)
-            known[near] = float(self.events.near(apart, share))
-        return known[near]
+        if (earlier, later) in known:
+            return known[earlier, later]
+        cost = agreement(self.graph, placed, earlier, later, self.events.push)
+        apart = log_sum(cost.reshape(-1).tolist())
+        for each in (earlier, later):
+            if isinstance(each, int):
+                apart -= self._open_score[each] - self.events.pose_score
+        known[earlier, later] = self.events.moved(apart)
+        return known[earlier, later]
+
+    def _is_one_picture(self, hypothesis: Hypothesis, which: int | Place) -> bool:
+        """Return whether all that shows one of a camera's places is a single picture."""
+        if isinstance(which, int):
+            return self.visits[which].is_one_picture
+        camera, place = which
+        if not place and camera in self.graph.data.known.poses:
+            return False
+        mine = of_camera(hypothesis, self.visits, camera)
+        there = [n for n in mine if hypothesis.place_of(n) == place]
+        return len(there) == 1 and self.visits[there[0]].is_one_picture
 
     def happened(self, hypothesis: Hypothesis) -> int:
         """Return the number of lifts and moves in a hypothesis, but for moves that were told."""

@@ -241,11 +241,11 @@ class World:
         seen = seen_by(self.graph, placed, there[0])
         shared = placed.covariance(seen.rows)
         covariance = seen.by_unknowns @ shared @ np.swapaxes(seen.by_unknowns, 1, 2) + seen.own
-        scores = self.search.mode_scores(hypothesis, there[0])
-        least = float(scores.min())
+        evidences = self.graph.modes[there[0]].evidence
+        least = float(evidences.min())
         return [
-            Place(seen.pose[mode], covariance[mode], score + float(each) - least)
-            for mode, each in enumerate(scores)
+            Place(seen.pose[mode], covariance[mode], score + float(evidence) - least)
+            for mode, evidence in enumerate(evidences)
         ]
 
 

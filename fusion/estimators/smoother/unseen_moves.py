@@ -14,7 +14,7 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from trigpoint.fusion.association.events import PUSHED, Events
+from trigpoint.fusion.association.events import Events
 from trigpoint.fusion.model.assembly import assemble
 from trigpoint.fusion.model.dataset import CameraMove, DataSet, Entry, Move
 from trigpoint.fusion.model.problem import State
@@ -73,7 +73,7 @@ def _likeliest(
 
     def score(step: Array, covariance: Array) -> float:
         pushed = _innovation(step, covariance + events.push)
-        return prior + float(events.near(pushed, PUSHED)) - _innovation(step, covariance)
+        return prior + events.moved(pushed) - _innovation(step, covariance)
 
     moments = [(mine, number) for mine in asked for number in _moments(mine)]
     scores = [score(*places.moved(mine, number)) for mine, number in moments]

@@ -30,9 +30,6 @@ from trigpoint.fusion.replaying import replayed
 from trigpoint.site.config import Site, parse_site
 from trigpoint.site.target import Target
 
-# By the oracle, what was moved or is wrong is anywhere in the room, and not near where it was.
-_ANYWHERE = "[fusion.priors]\npush_translation = 10.0\npush_rotation = 3.0\n"
-
 
 class Shape(Struct, frozen=True):
     """What a small session looks like. `stops`: the number (0 or 1) of the camera before which the
@@ -146,7 +143,7 @@ def small_session(shape: Shape) -> SmallSession:
                 _displaced(picture, recipe, view) if view in shape.displaced else picture
             )
     composition = Composition(recipe, cameras, [carrier], pictures, {"r1": []})
-    site = parse_site(site_text(composition) + _ANYWHERE, directory=Path())
+    site = parse_site(site_text(composition), directory=Path())
     messages = [(node, message) for _, node, message in composition.messages()]
     return SmallSession(shape, composition, site, target, messages)
 
