@@ -72,10 +72,8 @@ def _looked_at(face: Face) -> tuple[Array, np.ndarray]:
     2 k, the inner one 2 k + 1. Neither is written to."""
     places, lines = list[Array](), list[int]()
     marker = (face.marker or 0.0) / face.square
-    border_deep, border_between = (
-        (1 - marker) / 2 + marker * _BORDER_DEEP,
-        (1 - marker) / 2 + marker * _BETWEEN,
-    )
+    inset = (1 - marker) / 2
+    border = inset + marker * _BORDER_DEEP, inset + marker * _BETWEEN
     for side, (is_column, is_last) in enumerate(product((True, False), (True, False))):
         along, count = (face.rows, face.columns) if is_column else (face.columns, face.rows)
         edge = count - 1 if is_last else 1  # between the two lines, in squares
@@ -87,7 +85,7 @@ def _looked_at(face: Face) -> tuple[Array, np.ndarray]:
                 is_light = squares_are_light(face, *map(np.array, square))
                 if is_light and inner:
                     continue
-                deep, between = (border_deep, border_between) if is_light else (_DEEP, _BETWEEN)
+                deep, between = border if is_light else (_DEEP, _BETWEEN)
                 across, beside = np.meshgrid(edge + way * deep, step + between)
                 spots = [across, beside] if is_column else [beside, across]
                 places.append((np.stack(spots, axis=-1).reshape(-1, 2) - 1) * face.square)

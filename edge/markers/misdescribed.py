@@ -83,10 +83,15 @@ class MisdescribedBoards:
         seen so often as the file has them; and those that are contradicted too often, as long as
         they are."""
         targets = {look.target for look in self._disproven} - {""}
-        doubted = {look for look in self._looks if look.target in targets}
         often = {look for look in self._denials if self._is_often_denied(look)}
         return (
-            self._disproven | often | {look for look in doubted if self._confirmed[look] < _OFTEN}
+            self._disproven
+            | often
+            | {
+                look
+                for look in self._looks
+                if look.target in targets and self._confirmed[look] < _OFTEN
+            }
         )
 
     @property
