@@ -27,8 +27,8 @@ class TargetDetector(Protocol):
 
     @property
     def misdescribed(self) -> tuple[str, ...]:
-        """Boards seen so far that the target file describes wrongly, each once, with what to write
-        instead."""
+        """Boards that the target file describes wrongly by what was seen so far, each once, with
+        what to write instead."""
         ...
 
     def detect(self, picture: np.ndarray) -> tuple[FaceSighting, ...]:

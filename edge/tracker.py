@@ -156,8 +156,8 @@ class TargetTracker:
 
     @property
     def misdescribed(self) -> tuple[str, ...]:
-        """Boards seen so far that the target file describes wrongly, each once, with what to write
-        instead."""
+        """Boards that the target file describes wrongly by what was seen so far, each once, with
+        what to write instead."""
         return misdescribed(self._finders)
 
     @property

@@ -84,15 +84,8 @@ class MisdescribedBoards:
         they are."""
         targets = {look.target for look in self._disproven} - {""}
         often = {look for look in self._denials if self._is_often_denied(look)}
-        return (
-            self._disproven
-            | often
-            | {
-                look
-                for look in self._looks
-                if look.target in targets and self._confirmed[look] < _OFTEN
-            }
-        )
+        beside = {look for look in self._looks if look.target in targets}
+        return self._disproven | often | {look for look in beside if self._confirmed[look] < _OFTEN}
 
     @property
     def lines(self) -> dict[Appearance, str]:

@@ -78,10 +78,10 @@ def _fields(node: NodeStatus) -> Fields:
     """`age`: of a camera's newest picture, s, 0 while it is young, and `source`: its state; None
     where the node does not say them, or not any more."""
     fields: Fields = {"state": node.state, "notes": notes(node), "host": node.host}
-    is_gone = node.state == "gone"
-    age_s = None if is_gone else node.gauges.get("picture_age_s")
+    gauges, words = ({}, {}) if node.state == "gone" else (node.gauges, node.words)
+    age_s = gauges.get("picture_age_s")
     fields["age"] = None if age_s is None else int(age_s)
-    fields["source"] = None if is_gone else node.words.get("source")
+    fields["source"] = words.get("source")
     if (lost := sum(node.losses.values())) > 0:
         fields["lost"] = lost
     return fields

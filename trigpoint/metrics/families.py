@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable, Iterator
+from functools import cache
 from itertools import accumulate
 
 from prometheus_client.metrics_core import Metric as Family
@@ -10,7 +11,7 @@ from prometheus_client.utils import floatToGoString
 from trigpoint.contract.durations import BOUNDS_S, Durations
 from trigpoint.contract.messages import Diagnostics, DiagnosticStatus
 
-from .table import LEVEL, REPORTED, Metric, counters, is_left_out, metric_of
+from .table import EVERY, LEVEL, METRICS, REPORTED, Metric, is_left_out, metric_of
 
 _WHO = {"edge": "camera", "robot": "robot"}
 
@@ -57,7 +58,7 @@ def _samples(
 ) -> Iterator[tuple[Metric, dict[str, str], float | Durations]]:
     kind = status.name.partition("/")[0]
     own = {LEVEL: str(status.level)} | ({REPORTED: str(stamp_ns)} if stamp_ns else {})
-    never = {metric.name: metric for metric in counters(kind)} if stamp_ns else {}
+    never = {metric.name: metric for metric in _counters(kind)} if stamp_ns else {}
     for name, text in (own | status.values).items():
         if is_left_out(name):
             continue
@@ -73,6 +74,13 @@ def _samples(
             yield metric, labels, value * metric.scale
     for metric in never.values():  # else Prometheus's `increase` does not see the first
         yield metric, {}, 0.0
+
+
+@cache
+def _counters(kind: str) -> tuple[Metric, ...]:
+    """The counters without labels of their own that each node of this kind has."""
+    rows = (*METRICS.get(kind, ()), *METRICS[EVERY])
+    return tuple(row for row in rows if not row.labels and row.value.endswith((".total", ".lost")))
 
 
 def _durations(text: str) -> Durations | None:

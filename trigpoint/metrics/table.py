@@ -391,13 +391,6 @@ def is_left_out(value: str) -> bool:
     return value in _IDENTITY or value.endswith(".rate")
 
 
-@cache
-def counters(kind: str) -> tuple[Metric, ...]:
-    """The counters without labels of their own that each node of this kind has."""
-    rows = (*METRICS.get(kind, ()), *METRICS[EVERY])
-    return tuple(row for row in rows if not row.labels and row.value.endswith((".total", ".lost")))
-
-
 def metric_of(kind: str, value: str) -> tuple[Metric, dict[str, str]]:
     """The metric of a value in the diagnostics of a node of this kind, and its own labels."""
     for metric in (*METRICS.get(kind, ()), *METRICS[EVERY], *OTHERS):
