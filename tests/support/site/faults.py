@@ -8,6 +8,7 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from itertools import islice
+from pathlib import Path
 from signal import SIGSTOP
 
 import numpy as np
@@ -222,24 +223,25 @@ class Watchman:
         self._thread.join()
 
 
-def flip_bit(field: Field) -> None:
-    """Damage a record of odometry in the checkpoint; not the first one, which is where the map
+def _odometry_in(checkpoint: Path) -> tuple[int, int] | None:
+    """Where a record of odometry begins and ends in it; not the first one, which is where the map
     begins."""
-    path = field.out / "checkpoint.bin"
-    data = bytearray(path.read_bytes())
-    record = next(
-        each
-        for each in islice(_records(path), 1, None)
-        if all(key.endswith("/odom") for key, _ in each.messages)
-    )
-    data[(record.start + record.end) // 2] ^= 1
-    path.write_bytes(bytes(data))
+    records = islice(_records(checkpoint), 1, None) if checkpoint.exists() else ()
+    for each in records:
+        if all(key.endswith("/odom") for key, _ in each.messages):
+            return each.start, each.end
+    return None
 
 
 def kill_and_restart(fusion: Program, field: Field, start: Callable[[], Program]) -> Program:
-    """SIGKILL, a flipped bit, and started again."""
+    """SIGKILL, a flipped bit in the checkpoint's odometry, and started again."""
+    path = field.out / "checkpoint.bin"
+    assert eventually(lambda: _odometry_in(path) is not None)
     fusion.kill()
-    flip_bit(field)
+    record, data = _odometry_in(path), bytearray(path.read_bytes())
+    assert record is not None
+    data[sum(record) // 2] ^= 1
+    path.write_bytes(bytes(data))
     again = start()
     assert eventually(lambda: "runs on site" in again.said, 60.0), again.said
     return again

@@ -142,7 +142,7 @@ def test_board_that_the_file_describes_the_wrong_way_round_is_said(desk: Desk) -
     node = desk.start(
         *((1000 * i, picture) for i in range(1, 5)),
         target=target_of(checkerboard(6, 8)),
-        camera="rate = 1.0",
+        camera="rate = 0.01",
     )
     node.wait()
     assert "write columns = 8 and rows = 6" in node.health.held["target file"]
@@ -154,11 +154,11 @@ def test_board_of_another_size_is_said_until_the_files_own_is_seen(desk: Desk) -
     def script() -> Iterator[Frame]:
         has_started.wait()
         for number, face in enumerate((charuco(9, 6), own), 1):
-            yield Frame(picture_of([placed(face, distance=1.0)]), number * 10**9)
+            yield Frame(picture_of([placed(face, distance=1.0)]), number * 10**11)
             is_said = face is not own
             assert eventually(lambda wanted=is_said: ("target file" in node.health.held) is wanted)
 
-    node = desk.start(script=script(), target=target_of(own), camera="rate = 1.0")
+    node = desk.start(script=script(), target=target_of(own), camera="rate = 0.01")
     has_started.set()
     node.wait()
     assert node.health.total("faces") == 1
