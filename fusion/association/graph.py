@@ -13,7 +13,6 @@ import numpy as np
 from msgspec import Struct
 
 from trigpoint.base.clock import to_ns
-from trigpoint.fusion.model.assembly import lens_sigmas
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.geometry import Pose
 from trigpoint.geometry.pose import rows_of
@@ -22,8 +21,8 @@ from trigpoint.geometry.uncertainty import turned_axes
 from trigpoint.native.library import Handle, In, Kernel, Out
 
 from .events import Events
-from .linear import HELD
 from .mode import Mode, VisitModes
+from .own_unknowns import own_prior, own_values
 from .path import Picture, RobotPath, VisualStep, visual_step, watched_step
 
 _CLOCK_SIGMAS = 5.0
@@ -74,13 +73,14 @@ class Layout(Struct, frozen=True):
 
 class Placed(Struct, frozen=True):
     """A graph at its minimum, with its `score`. `poses` (n, 12): rows of the robots at the
-    beginnings of their visits and of the cameras, as in `layout`; `scales` (2 r,): the scale errors
-    of the robots of `layout.scales`, none where they are not known; `ties`, `breaks`: of its
-    variant; `factor`: of the information matrix, whose rows are those of `layout`."""
+    beginnings of their visits and of the cameras, as in `layout`; `values` (v,): the scale errors
+    of the robots of `layout.scales`, then the own unknowns of the cameras of `layout.own`; none
+    where they are not known; `ties`, `breaks`: of its variant; `factor`: of the information
+    matrix, whose rows are those of `layout`."""
 
     score: float
     poses: Array
-    scales: Array
+    values: Array
     ties: Mapping[int, Tie]
     breaks: frozenset[Break]
     layout: Layout
@@ -93,6 +93,12 @@ class Placed(Struct, frozen=True):
     def place(self, place: Place) -> Pose:
         """Return a camera's pose."""
         return Pose.from_rows(self.poses[self.layout.at[place]])
+
+    def own(self, camera: str) -> Array:
+        """Return the values (o,) of a camera's own unknowns; none where it has none."""
+        # They are the last of both.
+        rows = self.layout.own.get(camera, np.arange(0))
+        return self.values[rows - self.layout.size + len(self.values)]
 
     def covariance(self, rows: np.ndarray) -> Array:
         """Return the marginal covariance (k, k) of the unknowns in these rows."""
@@ -250,7 +256,7 @@ class Graph:
         robot was when the first picture was taken, by the time offset at which its estimation
         started."""
         visit, modes = self.visits[number].visit, self.visits[number].modes
-        own = np.array([own_values(self.data, visit.camera, mode) for mode in modes])
+        own = np.array([own_values(self.data, visit.camera, mode.camera) for mode in modes])
         evidence = np.array([mode.evidence for mode in modes])
         if not modes:
             nothing = np.zeros((0, 6, 6))
@@ -357,28 +363,6 @@ def _clock(data: DataSet, found: VisitModes) -> tuple[float, float]:
     # The last two unknowns of a mode are the clock's offset and drift.
     variance = float(np.linalg.inv(mode.information)[-2, -2])
     return to_ns(mode.camera.time_offset_s), to_ns(min(np.sqrt(variance), sigma_s))
-
-
-def own_prior(data: DataSet, camera: str) -> tuple[Array, Array]:
-    """Return the prior means and sigmas of a camera's own unknowns: lens and clock, not pose."""
-    config, lens = data.site.cameras[camera], data.lenses[camera]
-    mean, sigma = np.zeros(0), np.zeros(0)
-    if config.estimates_intrinsics:
-        mean, sigma = lens.parameters, lens_sigmas(config, lens)
-    if config.time_offset_sigma > 0:
-        mean = np.concatenate([mean, np.zeros(2)])
-        drift = max(config.time_drift_sigma, HELD)
-        sigma = np.concatenate([sigma, [config.time_offset_sigma, drift]])
-    return mean, np.where(sigma > 0, sigma, HELD)
-
-
-def own_values(data: DataSet, camera: str, mode: Mode) -> Array:
-    """Return the values of the same unknowns that a mode estimates."""
-    config = data.site.cameras[camera]
-    values = mode.camera.lens.parameters if config.estimates_intrinsics else np.zeros(0)
-    if config.time_offset_sigma > 0:
-        values = np.concatenate([values, [mode.camera.time_offset_s, mode.camera.time_drift]])
-    return values
 
 
 def _moment(data: DataSet, modes: VisitModes) -> int:

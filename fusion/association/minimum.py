@@ -120,7 +120,8 @@ class Minima:
         layout, modes = terms.layout, [self._mode[n] + tie.mode for n, tie in ties]
         values, information = terms.mean.copy(), terms.information.copy()
         if variant.near is not None:
-            values[: len(variant.near.scales)] = variant.near.scales
+            scales = variant.near.values[: 2 * len(layout.scales)]
+            values[: len(scales)] = scales
         ends = np.full((len(ties), 4), (0, 0, -1, 0), _WHOLE)
         ends[:, 0] = [self._node[n] for n, _ in ties]
         ends[:, 1] = [layout.at[place] for place in places]
@@ -156,8 +157,7 @@ class Minima:
         total += sum(float(way.log_covariance.sum()) for way in ways)
         if not np.isfinite(total):
             return None
-        scales = values[: 2 * len(layout.scales)]
-        return Placed(total, poses, scales, variant.ties, variant.breaks, layout, factor)
+        return Placed(total, poses, values, variant.ties, variant.breaks, layout, factor)
 
     def _steps(self, layout: Layout, values: Array) -> dict[str, Steps]:
         """Return each robot's motions by odometry at its current scale errors, which are the first

@@ -14,6 +14,7 @@ from trigpoint.geometry import Pose
 from .events import EVIDENCE, window
 from .explanation import Alternative, CameraFinding, Explanation, Read, alternatives_of
 from .mode import Mode, VisitModes
+from .own_unknowns import camera_with
 from .told_moves import of_camera
 from .world import World
 
@@ -125,7 +126,7 @@ class Outcome:
 
     def _places(self, findings: dict[str, CameraFinding]) -> dict[tuple[str, int], CameraState]:
         """The camera's state at every place, earlier ones included, that has one alternative."""
-        found = {}
+        found = dict[tuple[str, int], Pose]()
         for n, place in self.chosen.places.items():
             camera = self.best.visits[n].visit.camera
             if camera in self.undecided:
@@ -133,23 +134,23 @@ class Outcome:
             last = self._last_place(camera)
             if place == last and not self._told_since(camera):
                 if findings[camera].is_located:
-                    found[camera, place] = self._state(
-                        camera, place, findings[camera].alternatives[0].map_from_camera
-                    )
+                    found[camera, place] = findings[camera].alternatives[0].map_from_camera
                 continue
             alike = alternatives_of(p for world in self.worlds for p in world.places(camera, place))
             if len(alike) == 1 and is_placed(alike[0].covariance):
-                found[camera, place] = self._state(camera, place, alike[0].map_from_camera)
-        return found
+                found[camera, place] = alike[0].map_from_camera
+        return {
+            (camera, place): replace(self._camera(camera), map_from_camera=pose)
+            for (camera, place), pose in found.items()
+        }
 
-    def _state(self, camera: str, place: int, pose: Pose) -> CameraState:
-        """A camera at this pose, with lens and clock by its most informative visit there."""
-        here = [n for n in self._seen(camera) if self.chosen.place_of(n) == place]
-        return replace(self._telling(here), map_from_camera=pose)
-
-    def _telling(self, numbers: list[int]) -> CameraState:
-        """The camera by the most informative of some visits."""
-        modes = [self.best.visits[n].modes[self._mode_of(n)] for n in numbers]
+    def _camera(self, name: str) -> CameraState:
+        """A camera, at any pose, with lens and clock as all visits that tie it say together; by
+        the most informative one where none does."""
+        placed = self.chosen.placed
+        if placed is not None and name in placed.layout.own:
+            return camera_with(self.data, name, placed.own(name))
+        modes = [self.best.visits[n].modes[self._mode_of(n)] for n in self._seen(name)]
         return max(modes, key=lambda mode: float(np.linalg.slogdet(mode.information)[1])).camera
 
     def _seen(self, camera: str) -> list[int]:
@@ -251,7 +252,7 @@ class Outcome:
         """When the first and the last picture of a visit were taken, by its camera's clock."""
         visit = self.best.visits[number].visit
         stamps_ns = np.array([visit.stamp_ns, visit.until_ns])
-        camera = self._telling(self._seen(visit.camera))
+        camera = self._camera(visit.camera)
         first, last = true_times_ns(stamps_ns, camera.offset_s(self.data.since_epoch_s(stamps_ns)))
         return int(first), int(last)
 
