@@ -231,7 +231,7 @@ def _batch(
         sources=np.array(indices),
         since_epoch_s=since_epoch_s,
         carried=carried,
-        jitter=None if jitter is None else jitter.among(poses.translation[nodes]),
+        jitter=None if jitter is None else jitter.in_pictures(poses.translation[nodes]),
     )
 
 

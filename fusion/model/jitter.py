@@ -39,3 +39,9 @@ class Jitter(Struct, frozen=True):
             alike = np.exp(-apart / self.length).mean(axis=1) * len(places)
             variances[:, 3:5] *= np.maximum(alike, 1.0)[:, None]
         return variances
+
+    def in_pictures(self, places: Array) -> Array:
+        """The variances (n, 2, 6) `among` pictures taken at places (n, 3), and those in each by
+        itself."""
+        among = self.among(places)
+        return np.stack([among, np.broadcast_to(self.variances, among.shape)], axis=1)

@@ -66,7 +66,7 @@ def picture_factor(problem: Problem, batch: Batch, state: State) -> tuple[Array,
     columns = _dense_columns(problem, batch)
     size = len(problem.chains[batch.robot].tangent) + len(columns) + 1
     factor = np.empty((size, size))
-    variances = np.empty(0) if batch.jitter is None else batch.jitter[0]
+    variances = np.empty(0) if batch.jitter is None else batch.jitter.reshape(-1)
     _FACTOR(*_given(batch, state, problem), np.ascontiguousarray(variances), factor)
     return factor, columns
 

@@ -131,9 +131,9 @@ class Batch(Struct, frozen=True):
     1/sigma times the root of the share, 0 for padding and outliers; `shares` (n,): the weight of
     each observation; `sources` (n,): index into the data set; `since_epoch_s` (n,): the stamps,
     since the data set's epoch; `carried`: from the nodes to the sightings, where the camera's time
-    offset is estimated; `jitter` (n, 6): variances of the deviation of the target's pose in each
+    offset is estimated; `jitter` (n, 2, 6): variances of the deviation of the target's pose in each
     picture from its node (a floor that tilts, a mast that sways), a disturbance in the map's axes
-    that all its corners share; None: no deviation.
+    that all its corners share, as `Jitter.in_pictures`; None: no deviation.
     """
 
     camera: str

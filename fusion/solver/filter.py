@@ -302,5 +302,5 @@ def _batch(
         sources=np.zeros(1, dtype=int),
         since_epoch_s=since_epoch_s,
         carried=carried,
-        jitter=jitter.variances[None] if jitter is not None else None,
+        jitter=jitter.in_pictures(np.zeros((1, 3))) if jitter is not None else None,
     )

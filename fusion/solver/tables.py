@@ -26,7 +26,7 @@ PROBLEM = (
     *(In(_REAL, ("o", 12)), In(_REAL, ("r", 2))),
     *(In(_REAL, ("o", 6, 6)), In(_REAL, ("o", 6, 2))),
     *(In(_WHOLE, ("g", 5)), In(_REAL, ("g", 12)), In(_REAL, ("g", 2))),
-    *(In(_REAL, ("g", 6)), In(_REAL, ("g", 6))),
+    *(In(_REAL, ("g", 6)), In(_REAL, ("g", 12))),
     *(In(_WHOLE, ("k",)), In(_REAL, ("k", 3)), In(_REAL, ("k", 2)), In(_REAL, ("k",))),
     *(In(_WHOLE, ("v",)), In(_REAL, ("v", 2))),
     *(In(_REAL, ("f", 12)), In(_REAL, ("f", 6))),
@@ -137,7 +137,7 @@ def _pictures(problem: Problem) -> tuple[np.ndarray, ...]:
     )
 
 
-_NO_WAYS = np.empty((0, 12)), np.empty((0, 2)), np.empty((0, 6)), np.empty((0, 6))
+_NO_WAYS = np.empty((0, 12)), np.empty((0, 2)), np.empty((0, 6)), np.empty((0, 12))
 
 
 def _ways(batch: Batch) -> tuple[Array, Array, Array, Array]:
@@ -147,7 +147,8 @@ def _ways(batch: Batch) -> tuple[Array, Array, Array, Array]:
     if carried is not None:
         way, twists, offset_s = carried.way, carried.twists, carried.offset_s
     moments = np.stack([offset_s, batch.since_epoch_s], axis=1)
-    return way.rows(), moments, twists, none if batch.jitter is None else batch.jitter
+    jitter = np.zeros((count, 2, 6)) if batch.jitter is None else batch.jitter
+    return way.rows(), moments, twists, jitter.reshape(count, 12)
 
 
 def _priors(problem: Problem, state: State) -> tuple[np.ndarray, ...]:

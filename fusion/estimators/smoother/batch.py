@@ -175,7 +175,7 @@ def _excesses(data: DataSet, batch: Batch, state: State, events: Events) -> list
     residual = batch_residual(batch, state)
     found: list[_Excess] = []
     if batch.jitter is not None:
-        residual = compensated(by_base, residual, batch.jitter)
+        residual = compensated(by_base, residual, batch.jitter[:, 0])
     shown = [
         (row, source, order, part)
         for row, source in enumerate(batch.sources.tolist())

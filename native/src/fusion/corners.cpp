@@ -21,7 +21,8 @@ struct Shared {
     const ByPoses& by;
     Vector6d variances;
 
-    Shared(const ByPoses& by_seen, const Vector6d& prior) : by(by_seen), variances(prior) {
+    Shared(const ByPoses& by_seen, const double* prior)
+        : by(by_seen), variances(Eigen::Map<const Vector6d>(prior)) {
         Matrix6d whole = by.transpose() * by;
         whole.diagonal() += variances.cwiseInverse();
         information.compute(whole);
@@ -110,16 +111,13 @@ void PictureEquations::set(const Picture& picture, const double* variances, doub
     cost = log_determinant = 0;
     picture.terms(picture.seen, residual_, rows_.leftCols(columns), by_seen_);
     left_ = residual_;
-    Vector6d known;
     if (is_shared) {
-        known = Eigen::Map<const Vector6d>(variances);
-        const Shared shared(by_seen_, known);
-        const Vector6d fit = -shared.fit(residual_);
+        const Vector6d fit = -Shared(by_seen_, variances + 6).fit(residual_);
         RowMajor no_rows(0, columns);
         ByPoses none(0, 6);
         picture.terms(picture.seen.disturbed(fit), residual_, no_rows, none);
         residual_ -= by_seen_ * fit;
-        left_ = residual_ - by_seen_ * shared.fit(residual_);
+        left_ = residual_ - by_seen_ * Shared(by_seen_, variances).fit(residual_);
     }
     for (Index k = 0; k < picture.corners; ++k) {
         const double length = left_.segment<2>(2 * k).norm();
@@ -134,10 +132,10 @@ void PictureEquations::set(const Picture& picture, const double* variances, doub
     if ((root_.array() < 1).any()) rows_ = root_.asDiagonal() * rows_;
     if (is_shared) {
         by_seen_ = (root_.asDiagonal() * by_seen_).eval();
-        const Shared shared(by_seen_, known);
+        const Shared shared(by_seen_, variances);
         const Eigen::Matrix<double, 6, Eigen::Dynamic> fit = shared.fit(rows_);
         rows_ -= by_seen_ * fit;
-        own_ = known.cwiseSqrt().cwiseInverse().asDiagonal() * fit;
+        own_ = shared.variances.cwiseSqrt().cwiseInverse().asDiagonal() * fit;
         set_square();
         cost += square(columns, columns);
         log_determinant = shared.log_determinant();
@@ -244,14 +242,14 @@ TRIGPOINT_KERNEL(tp_corner_terms) {
     return 0;
 }
 
-// (pictures, n = 1, variances (0 or 6,) of the robot's deviation in it, factor (c + 1, c + 1)): 0;
-// `PictureEquations.factor`.
+// (pictures, n = 1, variances (0 or 12,) of the robot's deviation in it, factor (c + 1, c + 1)): 0;
+// `PictureEquations.set`, `PictureEquations.factor`.
 TRIGPOINT_KERNEL(tp_corner_factor) {
     const Pictures pictures(arguments);
     const Argument* asked = arguments + Pictures::ARGUMENTS;
     const Array& variances = asked[0].array;
-    if (pictures.count != 1 || (variances.shape[0] != 0 && variances.shape[0] != 6))
-        throw std::invalid_argument("one picture, whose deviation has six variances or none");
+    if (pictures.count != 1 || (variances.shape[0] != 0 && variances.shape[0] != 12))
+        throw std::invalid_argument("one picture, whose deviation has twelve variances or none");
     const Picture picture = pictures.at(0);
     const Index columns = picture.columns() + 1;
     if (asked[1].array.shape[0] != columns) throw std::invalid_argument("other columns are wanted");

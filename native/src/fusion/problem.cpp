@@ -284,7 +284,7 @@ OdometryTerm Problem::motion(const State& state, Index row) const {
 }
 
 const double* Problem::deviation(Index picture) const {
-    return whole(PICTURES, picture)[DEVIATES] != 0 ? numbers(DEVIATIONS) + 6 * picture : nullptr;
+    return whole(PICTURES, picture)[DEVIATES] != 0 ? numbers(DEVIATIONS) + 12 * picture : nullptr;
 }
 
 std::vector<Index> Problem::rows_of(Index index) const {

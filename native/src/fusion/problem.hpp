@@ -32,7 +32,7 @@ enum Given {
     WAYS,               // (p, 12): from the node to the sighting with
     MOMENTS,            // (p, 2): this offset of the clock; and when, since the epoch
     TWISTS,             // (p, 6): of the robot then
-    DEVIATIONS,         // (p, 6): variances
+    DEVIATIONS,         // (p, 12): variances by which it counts; and in the picture by itself
     CORNER_FACES,       // (k,)
     POINTS,             // (k, 3)
     PIXELS,             // (k, 2)
@@ -85,7 +85,7 @@ public:
     std::vector<Index> rows_of(Index picture) const;
     // The term of a motion between nodes at a state, its errors as they are, not in sigmas.
     OdometryTerm motion(const State& state, Index motion) const;
-    // Variances (6,) of the robot's deviation in a picture; null where it has none.
+    // Variances (12,) of the robot's deviation in a picture; null where it has none.
     const double* deviation(Index picture) const;
 
 private:

@@ -6,8 +6,8 @@ picture, of variances Σ, and J the corners' derivative by it, their covariance 
 inverse is I - J M⁻¹ Jᵀ with M = Σ⁻¹ + JᵀJ (Woodbury): ε is eliminated from each picture.
 
 The corners are not linear in ε: what a tilt ε leaves at a distance d, ε²d, has the same sign in all
-pictures, and does not average out. So the normal equations are those about the best-fitting ε
-(`PictureEquations` of the core).
+pictures, and does not average out. So the normal equations are those about the ε that fits best
+by the picture's own variances (`PictureEquations` of the core).
 """
 
 from typing import Self
@@ -34,7 +34,7 @@ class PictureJitter(Struct, frozen=True):
         if batch.jitter is None:
             return None
         by_base = base_jacobian(batch, state)
-        return cls.by(by_base.reshape(len(by_base), -1, 6), batch.jitter)
+        return cls.by(by_base.reshape(len(by_base), -1, 6), batch.jitter[:, 0])
 
     @classmethod
     def by(cls, jacobian: Array, variances: Array) -> Self:

@@ -116,9 +116,12 @@ def _add_picture(slow: Slow, problem: Problem, batch: Batch, state: State, huber
 
 
 def about_best_fit(batch: Batch, state: State, jitter: PictureJitter) -> Array:
-    """The residual (2K,) of one picture, linearised about the deviation that fits best."""
+    """The residual (2K,) of one picture, linearised about the deviation that fits best by its own
+    variances."""
+    assert batch.jitter is not None
     by_seen, residual = jitter.jacobian[0], batch_residual(batch, state).reshape(-1)
-    fit = -np.linalg.solve(jitter.information[0], by_seen.T @ residual)
+    alone = PictureJitter.by(jitter.jacobian, batch.jitter[:, 1])
+    fit = -np.linalg.solve(alone.information[0], by_seen.T @ residual)
     robot, camera = state.robots[batch.robot], state.cameras[batch.camera]
     seen = robot.map_from_base[batch.nodes]
     if batch.carried is not None:

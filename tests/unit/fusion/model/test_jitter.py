@@ -26,7 +26,7 @@ def shaken() -> tuple[Problem, Batch, State]:
     """A small problem whose robot sways and tilts in each picture, and its first batch."""
     assembled = small_problem(noise_px=0.5)
     batch = assembled.problem.batches[0]
-    shared = replace(batch, jitter=np.tile(JITTER.variances, (len(batch.nodes), 1)))
+    shared = replace(batch, jitter=np.tile(JITTER.variances, (len(batch.nodes), 2, 1)))
     return assembled.problem, shared, assembled.start
 
 
@@ -126,6 +126,6 @@ def test_a_tilt_of_three_degrees_costs_what_its_prior_says() -> None:
     n, tilt = len(batch.nodes), np.radians([0, 0, 0, 2.4, -1.8, 0.0])
     seen = batch_residual(batch, swayed(state, batch, np.tile(tilt, (n, 1))))
     seen = seen / np.maximum(batch.weights, 1e-9)[..., None]
-    batch = replace(batch, pixels=batch.pixels + seen, jitter=np.tile(variances, (n, 1)))
+    batch = replace(batch, pixels=batch.pixels + seen, jitter=np.tile(variances, (n, 2, 1)))
     cost = linearise(replace(assembled.problem, batches=(batch,)), state).cost
     assert cost == pytest.approx(n * np.sum(tilt**2 / variances), rel=0.05)
