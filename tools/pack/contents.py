@@ -6,12 +6,13 @@ from pathlib import Path, PurePosixPath
 from msgspec import Struct
 
 from trigpoint.base.errors import ConfigError, InputError, read_text
+from trigpoint.contract.access import Kind
 from trigpoint.recorder.writing.attachments import site_files
 from trigpoint.site.config import Site
 from trigpoint.tools.site.systemd_units import SERVICE_USER, SYSUSERS, sysusers_text, unit_text
 
 from .install_script import FILES_AT, PROGRAM_AT, install_script
-from .machine import Node, Role
+from .machine import Node
 
 PUBLIC, PRIVATE, EXECUTABLE = 0o644, 0o600, 0o755
 
@@ -68,7 +69,7 @@ def _site_files(site: Site, node: Node) -> Iterator[Packed]:
     yield Packed("site/site.toml", site.text.encode(), PRIVATE)  # cameras' passwords
     for name, data, _ in site_files(site)[1:]:
         yield Packed(_inside(name), data)
-    if node.role is Role.ROBOT and (key := site.robot(node.name).mavlink.key) is not None:
+    if node.kind is Kind.ROBOT and (key := site.robot(node.name).mavlink.key) is not None:
         text = read_text(site.path(key), "signing key", ConfigError)
         yield Packed(_inside(key), text.encode(), PRIVATE)
 
@@ -88,18 +89,17 @@ def _keys(site: Site, node: Node) -> Iterator[Packed]:
     """What `trigpoint secure` made for the node, and for the machine where it listens."""
     if site.bus.tls is None:
         return
-    from trigpoint.contract.access import Kind
     from trigpoint.security import credentials
 
-    held = [credentials.node_credentials(site, Kind(node.role.value), node.name)]
-    if site.bus.listen and node.role is not Role.ROUTER:
+    held = [credentials.node_credentials(site, node.kind, node.name)]
+    if site.bus.listen and node.kind is not Kind.ROUTER:
         held.append(credentials.router_credentials(site))
     place = _inside(site.bus.tls.directory)
     yield Packed(f"{place}/{credentials.TRUST}", _bytes(held[0].trust))
     for one in held:
         yield Packed(f"{place}/{one.key.name}", _bytes(one.key), PRIVATE)
         yield Packed(f"{place}/{one.certificate.name}", _bytes(one.certificate))
-    if node.role in (Role.ROBOT, Role.FUSION):
+    if node.kind in (Kind.ROBOT, Kind.FUSION):
         signed = credentials.directory(site) / credentials.CORRECTIONS
         credentials.load_public_key(signed)
         yield Packed(f"{place}/{signed.name}", _bytes(signed))

@@ -19,7 +19,7 @@ def install_script(
     """A POSIX shell script; `machine`: what `uname -m` must say, "" for any."""
     return filled(
         _SCRIPT,
-        role=node.role.value,
+        role=node.kind.value,
         name=node.name,
         site=site,
         program_at=str(PROGRAM_AT),
