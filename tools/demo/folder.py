@@ -6,6 +6,7 @@ from pathlib import Path
 import msgspec
 from msgspec import Struct
 
+from trigpoint.base.disk import replace_file
 from trigpoint.base.errors import InputError, OperationError, read_text, writing
 from trigpoint.site.config import BusConfig
 from trigpoint.tools.simulation.site_files import write_site, write_truth
@@ -107,10 +108,9 @@ class DemoFolder:
         self.write(record)
 
     def write(self, record: DemoRecord) -> None:
-        part = self.path / f"{MARKER}.part"
+        data = msgspec.json.format(msgspec.json.encode(record), indent=1) + b"\n"
         with writing(self.path):
-            part.write_bytes(msgspec.json.format(msgspec.json.encode(record), indent=1) + b"\n")
-            part.replace(self.path / MARKER)
+            replace_file(self.path / MARKER, data)
 
     def read(self) -> DemoRecord:
         """What was run; raise InputError where the file is not a demo's."""

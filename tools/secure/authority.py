@@ -6,7 +6,6 @@ anchors of all who may come in; to revoke is to take one out (decisions/0711).
 """
 
 import ipaddress
-import os
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -17,6 +16,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from msgspec import Struct
 
+from trigpoint.base.disk import replace_file
 from trigpoint.base.errors import InputError, writing
 from trigpoint.contract.access import Identity, Kind
 from trigpoint.security.credentials import (
@@ -290,13 +290,8 @@ def _write_key(path: Path, key: ec.EllipticCurvePrivateKey) -> None:
 
 
 def _write(path: Path, data: bytes, mode: int) -> None:
-    """Replace a file atomically; it never exists with wider permissions than intended."""
-    new = path.with_name(f"{path.name}.new")
     with writing(path):
-        new.unlink(missing_ok=True)
-        with os.fdopen(os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as file:
-            file.write(data)
-        new.replace(path)
+        replace_file(path, data, mode=mode)
 
 
 def _make_folder(path: Path, mode: int) -> None:
