@@ -9,7 +9,7 @@ from msgspec import Struct
 from trigpoint.base.disk import replace_file
 from trigpoint.base.errors import InputError, OperationError, read_text, writing
 from trigpoint.site.config import BusConfig
-from trigpoint.tools.simulation.site_files import write_site, write_truth
+from trigpoint.tools.simulation.site_files import robot_port, write_site
 from trigpoint.tools.simulation.world import World
 
 MARKER = "demo.json"
@@ -52,7 +52,7 @@ class DemoFolder:
 
     def port(self, robot: str) -> Path:
         """The link to the simulated firmware's line."""
-        return self.path / f"{robot}.port"
+        return self.path / robot_port(robot)
 
     def journal(self, robot: str) -> Path:
         """What the robot itself believed."""
@@ -104,7 +104,6 @@ class DemoFolder:
                 pictures=True,
                 protocol=record.protocol,
             )
-            write_truth(world, self.path, epoch_ns=record.epoch_ns)
         self.write(record)
 
     def write(self, record: DemoRecord) -> None:
