@@ -1,6 +1,7 @@
-"""The files of an archive: bytes and modes by their path in it."""
+"""The files of an archive: bytes and modes by their path in it, and the script that installs them:
+short, since somebody is to read it before root runs it."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path, PurePosixPath
 
 from msgspec import Struct
@@ -9,9 +10,9 @@ from trigpoint.base.errors import ConfigError, InputError, read_text
 from trigpoint.contract.access import Kind
 from trigpoint.recorder.writing.attachments import site_files
 from trigpoint.site.config import Site
+from trigpoint.tools.site.filled import filled
 from trigpoint.tools.site.systemd_units import SERVICE_USER, SYSUSERS, sysusers_text, unit_text
 
-from .install_script import FILES_AT, PROGRAM_AT, install_script
 from .machine import Node
 
 PUBLIC, PRIVATE, EXECUTABLE = 0o644, 0o600, 0o755
@@ -112,3 +113,33 @@ def _bytes(path: Path) -> bytes:
         raise InputError(
             f"{path} cannot be read ({reason.strerror}); see that it is there"
         ) from None
+
+
+PROGRAM_AT = Path("/opt/trigpoint")
+FILES_AT = Path("/var/lib/trigpoint")
+_SCRIPT = Path(__file__).with_name("install.sh")
+
+
+def install_script(
+    site: str, node: Node, *, wheel: str, extras: Sequence[str], machine: str
+) -> str:
+    """A POSIX shell script; `machine`: what `uname -m` must say, "" for any."""
+    return filled(
+        _SCRIPT,
+        role=node.kind.value,
+        name=node.name,
+        site=site,
+        program_at=str(PROGRAM_AT),
+        files_at=str(FILES_AT),
+        wheel=wheel,
+        extras=f"[{','.join(extras)}]" if extras else "",
+        unit=node.unit.name,
+        service=node.service,
+        machine_check=_machine_check(machine) if machine else "",
+    )
+
+
+def _machine_check(machine: str) -> str:
+    return f"""\
+[ "$(uname -m)" = {machine} ] ||
+    stop "this archive is for {machine}; pack one with --machine $(uname -m)\""""

@@ -31,7 +31,7 @@ from trigpoint.site.target import Target
 from trigpoint.testing.views import looking_at
 from trigpoint.tools.networks.truth import NetworkError, TruthFile, network_error
 from trigpoint.tools.shapes.text import target_text
-from trigpoint.tools.simulation.motion.way import chained_in_space, scattered_in_space
+from trigpoint.tools.simulation.motion.odometry import chained_in_space, scattered_in_space
 from trigpoint.tools.simulation.sight.seen_corners import SeenFace, seen_faces_each
 from trigpoint.tools.simulation.sight.targets import target_of
 
