@@ -153,6 +153,14 @@ def lab_plan(target: str = "charuco", **changes: object) -> Plan:
     return replace(Plan(lab_cameras(), {"r1": robot}), **changes)  # pyright: ignore[reportArgumentType]
 
 
+def two_robots() -> dict[str, RobotPlan]:
+    """With targets that may be taken for each other's; their odometry has the same stamps."""
+    return {
+        "r1": RobotPlan(circle(), target_of("charuco")),
+        "r2": RobotPlan(circle(radius=0.9), target_of("checkerboard")),
+    }
+
+
 STANDS_S = 60.0
 
 
