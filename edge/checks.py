@@ -1,6 +1,5 @@
 """What `doctor` looks at for the edge agent."""
 
-import importlib.util
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,10 +11,7 @@ from .sources.v4l2_formats import Offer, offers_of
 
 
 def checks() -> list[Check]:
-    """Is the part installed, are there cameras, and may this user open them?"""
-    if importlib.util.find_spec("cv2") is None:
-        remedy = install_command("edge")
-        return [Check("edge", "error", "OpenCV (cv2) is not installed", remedy)]
+    """Can OpenCV be used, are there cameras, and may this user open them?"""
     return [_opencv(), *_cameras()]
 
 

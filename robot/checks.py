@@ -1,6 +1,5 @@
 """What `doctor` looks at for the robot bridge."""
 
-import importlib.util
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -8,16 +7,13 @@ from typing import TYPE_CHECKING
 
 from trigpoint.base.checks import Check
 from trigpoint.base.errors import PortError
-from trigpoint.base.words import install_command
 
 if TYPE_CHECKING:
     from .line.guess import Guess
 
 
 def checks() -> list[Check]:
-    """Is the part installed, are there serial ports, and may this user open them?"""
-    if importlib.util.find_spec("serial") is None:
-        return [Check("robot", "error", "pyserial is not installed", install_command("robot"))]
+    """Are there serial ports, and may this user open them?"""
     from .line.guess import guessed
     from .line.port import present_ports
 

@@ -11,8 +11,9 @@ from trigpoint.tools.shapes.bodies import (
     INNER_EDGE,
     VANE_AZIMUTHS_DEG,
     VANE_HEIGHT,
+    print_size,
+    upright,
 )
-from trigpoint.tools.shapes.upright import print_size, upright
 
 _BOX_MARGIN_M = 0.02
 

@@ -12,8 +12,12 @@ from trigpoint.geometry import Pose
 from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import wrap
 from trigpoint.site.config import OdometryNoise
-from trigpoint.tools.simulation.motion.odometry import chained
-from trigpoint.tools.simulation.motion.way import chained_in_space, scattered, scattered_in_space
+from trigpoint.tools.simulation.motion.odometry import (
+    chained,
+    chained_in_space,
+    scattered,
+    scattered_in_space,
+)
 
 from .recipe import Recipe
 

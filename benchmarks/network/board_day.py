@@ -18,11 +18,12 @@ from benchmarks.table import Row
 from benchmarks.timing import in_new_process, resident_mb
 from trigpoint.base.clock import ManualClock, to_ns, to_seconds
 from trigpoint.testing.memory_bus import MemoryBroker
-from trigpoint.tools.board.app import ASSETS, assets
+from trigpoint.tools.board.app import assets
 from trigpoint.tools.board.feed import Feed
 from trigpoint.tools.board.history import History
 from trigpoint.tools.board.pictures import Pictures
 from trigpoint.tools.board.reader import Reader
+from trigpoint.tools.web.answers import media_type
 
 _CAMERAS, _ROBOTS = 4, 2
 _BEGIN_S = 1_000_000.0
@@ -108,11 +109,10 @@ def _shown(chromium: str, hours: float) -> tuple[float, float]:
 
     def answer(route: Route) -> None:
         name = urlsplit(route.request.url).path.strip("/") or "board.html"
-        kind = ASSETS.get(name)
-        if kind is None:
+        if name not in files:
             route.fulfill(status=404)
         else:
-            route.fulfill(body=files[name], content_type=kind)
+            route.fulfill(body=files[name], content_type=media_type(name))
 
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])

@@ -16,8 +16,7 @@ from trigpoint.contract.messages import FaceSighting
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.site.target import Target
 from trigpoint.tools.simulation.motion.actors import Lift, Move, SimulatedCamera, SimulatedRobot
-from trigpoint.tools.simulation.motion.odometry import chained, drawn_scales
-from trigpoint.tools.simulation.motion.way import Way, scattered
+from trigpoint.tools.simulation.motion.odometry import Way, chained, drawn_scales, scattered
 from trigpoint.tools.simulation.world import Shown, World
 
 

@@ -2,7 +2,6 @@
 
 import math
 
-from trigpoint.geometry.camera import LensModel
 from trigpoint.site.camera_info import format_camera_info
 
 from .calibration import Calibration, Rejected
@@ -13,9 +12,16 @@ THINLY_COVERED = 0.7
 """A share of the picture below which the lens is a guess in the rest of it."""
 
 
-def parameter_names(model: LensModel) -> tuple[str, ...]:
-    """The names of a camera's `parameters`."""
-    return ("fx", "fy", "cx", "cy", *model.coefficients)
+def parameter_rows(found: Calibration) -> list[tuple[str, str, str]]:
+    """Each of the lens's numbers: its name, the number to two digits of its sigma, and the sigma,
+    "" where nothing is known of that."""
+    camera = found.camera
+    names = ("fx", "fy", "cx", "cy", *camera.model.coefficients)
+    values = zip(names, camera.parameters, found.known.sigma, strict=True)
+    return [
+        (name, rounded(value, sigma), rounded(sigma, sigma) if found.has_sigmas else "")
+        for name, value, sigma in values
+    ]
 
 
 def covered_share(found: Calibration) -> float:
@@ -52,11 +58,9 @@ def calibration_text(found: Calibration) -> str:
         f"{100 * covered_share(found):.0f} % of the picture covered; "
         f"disagreement between views {known.disagreement:.2f}",
     ]
-    for name, value, sigma in zip(
-        parameter_names(camera.model), camera.parameters, known.sigma, strict=True
-    ):
-        known_by = f" ± {rounded(sigma, sigma)}" if found.has_sigmas else ", how well is not known"
-        lines.append(f"  {name:<3} {rounded(value, sigma)}{known_by}")
+    for name, value, sigma in parameter_rows(found):
+        known_by = f" ± {sigma}" if sigma else ", how well is not known"
+        lines.append(f"  {name:<3} {value}{known_by}")
     lines += [f"not determined: {doubt}" for doubt in found.doubts]
     if not found.doubts and (advised := advice(found)):
         lines.append(f"for a better one: {advised}")

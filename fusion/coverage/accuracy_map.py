@@ -5,7 +5,7 @@ for the middle heading: in more than half of the headings it is so good or bette
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from msgspec import Struct
@@ -22,6 +22,9 @@ from .known_network import Carried, KnownNetwork
 NOBODY = -1
 WITHIN_M = (0.01, 0.02, 0.05, 0.10, math.inf)
 """Classes of accuracy; the last: corrected at all."""
+
+BY_FAILURE_M = (0.05, math.inf)
+"""Those of them by which it is told what a camera's failure costs."""
 
 
 def class_name(within_m: float) -> str:
@@ -94,6 +97,12 @@ class AccuracyMap(Struct, frozen=True, eq=False):
     def seen_m2(self, camera: int) -> float:
         """The floor on which a camera sees a robot in some heading."""
         return self._size_m2(self.sees[camera])
+
+    def failures_m2(self) -> Iterator[tuple[str, tuple[float, ...]]]:
+        """Of each camera what it sees, and what is lost without it, by BY_FAILURE_M."""
+        for index, name in enumerate(self.names):
+            lost = (self.lost_m2(index, within_m) for within_m in BY_FAILURE_M)
+            yield name, (self.seen_m2(index), *lost)
 
     @property
     def floor_m2(self) -> float:

@@ -7,6 +7,7 @@ from typing import Any
 
 from msgspec import Struct, field
 
+from trigpoint.base.disk import replace_file
 from trigpoint.base.errors import RecordingError
 from trigpoint.contract import cdr
 from trigpoint.contract.topics import topic_of
@@ -37,9 +38,7 @@ def is_bag(path: Path) -> bool:
 
 def write_metadata(folder: Path, parts: Sequence[PartFacts]) -> None:
     """Write the file anew, in one step."""
-    new = folder / f".{FILE}"
-    new.write_text(metadata_text(parts), encoding="utf-8")
-    new.replace(folder / FILE)
+    replace_file(folder / FILE, metadata_text(parts).encode())
 
 
 def listed_files(folder: Path) -> list[Path]:

@@ -2,7 +2,7 @@
 
 import asyncio
 import math
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from contextlib import suppress
 from urllib.parse import parse_qs
 
@@ -13,11 +13,10 @@ from starlette.requests import Request
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.routing import Route
 
-from trigpoint.base.errors import InputError, OperationError
+from trigpoint.base.errors import InputError
 from trigpoint.contract.messages import FaceSighting
 from trigpoint.tools.web.access import Guard
 from trigpoint.tools.web.answers import (
-    MARK,
     SEND_S,
     EventStream,
     json_answer,
@@ -25,31 +24,20 @@ from trigpoint.tools.web.answers import (
     packaged,
     served_app,
 )
-from trigpoint.tools.web.pages import TooManyPagesError
 
 from .feed import Feed
 from .history import History
 from .operator import Commands
 from .pictures import Pictures
 
-ASSETS = {
-    "board.html": "text/html",
-    "login.html": "text/html",
-    "board.css": "text/css",
-    "board.js": "text/javascript",
-    "map.js": "text/javascript",
-    "tables.js": "text/javascript",
-    "looking.js": "text/javascript",
-    MARK: "image/svg+xml",
-}
-OPEN_PATHS = frozenset({"/login", "/board.css", f"/{MARK}"})
+OPEN_PATHS = frozenset({"/login", "/board.css", "/mark.svg"})
 """What the login needs before anybody has logged in."""
 _LOGIN_DELAY_S = 1.0
 _MOST_FORM = 4096
 
 
 def assets() -> dict[str, bytes]:
-    return packaged("trigpoint.tools.board", ASSETS)
+    return packaged("trigpoint.tools.board")
 
 
 class Board(Struct, frozen=True):
@@ -68,7 +56,6 @@ class Board(Struct, frozen=True):
     @property
     def app(self) -> Starlette:
         routes = [
-            Route("/", self._front),
             Route("/login", self._login, methods=["GET", "POST"]),
             Route("/events", self._events),
             Route("/past", self._past),
@@ -80,16 +67,12 @@ class Board(Struct, frozen=True):
         ]
         if self.commands is not None:
             routes.append(Route("/command/{name:path}", self._command, methods=["POST"]))
-        return served_app(self.files, ASSETS, routes, self.guard)
-
-    async def _front(self, _: Request) -> Response:
-        response = Response(self.files["board.html"], media_type="text/html")
-        return self.guard.let_in(response)
+        return served_app(self.files, "board.html", routes, self.guard)
 
     async def _laid(self, request: Request) -> Response:
         name = request.url.path.strip("/").partition(".")[0]
         if not (data := self.picture(name)):
-            return PlainTextResponse(f"the site has no {name}", 404)
+            raise InputError(f"the site has no {name}")
         return kept(request, data, "image/png")
 
     async def _login(self, request: Request) -> Response:
@@ -104,11 +87,7 @@ class Board(Struct, frozen=True):
     async def _events(self, request: Request) -> Response:
         feed, history = self.feed, self.history
         ways = await run_in_threadpool(history.ways, feed.now_s)
-        try:
-            page = feed.join(ways)
-        except TooManyPagesError as reason:
-            return PlainTextResponse(str(reason), 503)
-        return self.guard.let_in(EventStream(request, page, feed))
+        return self.guard.let_in(EventStream(request, feed.join(ways), feed))
 
     async def _past(self, request: Request) -> Response:
         try:
@@ -130,34 +109,22 @@ class Board(Struct, frozen=True):
         after = request.query_params.get("after", "0")
         if not after.isdecimal() or len(after) > 19:
             return PlainTextResponse("`after` is a stamp in nanoseconds", 400)
-        newest = self.pictures.newest
-
-        async def found() -> Response:
-            picture, faces = await run_in_threadpool(
-                newest, request.path_params["name"], int(after)
-            )
-            return json_answer(
-                {"stamp": str(picture.stamp_ns), "faces": [_face(one) for one in faces]}
-            )
-
-        return await _told(found)
+        camera, newest = request.path_params["name"], self.pictures.newest
+        picture, faces = await run_in_threadpool(newest, camera, int(after))
+        return json_answer({"stamp": str(picture.stamp_ns), "faces": [_face(one) for one in faces]})
 
     async def _picture(self, request: Request) -> Response:
         name, stamp_ns = request.path_params["name"], request.path_params["stamp"]
         data = self.pictures.jpeg(name, stamp_ns)
         if data is None:
-            return PlainTextResponse("that picture is not kept any more", 404)
+            raise InputError("that picture is not kept any more")
         return Response(data, media_type="image/jpeg")
 
     async def _command(self, request: Request) -> Response:
-        commands = self.commands
-        assert commands is not None  # else there is no such route
-
-        async def done() -> Response:
-            data, media_type = await run_in_threadpool(commands.give, request.path_params["name"])
-            return Response(data, media_type=media_type)
-
-        return await _told(done)
+        assert self.commands is not None  # else there is no such route
+        name = request.path_params["name"]
+        data, media_type = await run_in_threadpool(self.commands.give, name)
+        return Response(data, media_type=media_type)
 
 
 async def _form(request: Request) -> str:
@@ -171,16 +138,6 @@ async def _form(request: Request) -> str:
                     return ""
             return body.decode(errors="replace")
     return ""
-
-
-async def _told(work: Callable[[], Awaitable[Response]]) -> Response:
-    """What is asked for, or in one line why not."""
-    try:
-        return await work()
-    except InputError as reason:
-        return PlainTextResponse(str(reason), 404)
-    except OperationError as reason:
-        return PlainTextResponse(str(reason), 503)
 
 
 def _face(face: FaceSighting) -> dict[str, object]:

@@ -33,8 +33,7 @@ from trigpoint.tools.site.status import LISTEN_S, known_of, wanted_of
 from .alarms import Alarms
 from .entities import Fields
 from .feed import Feed
-from .floor import Floor
-from .grid import GridPicture, grid_picture
+from .floor import Floor, GridPicture, grid_picture
 from .history import History
 from .pictures import Pictures
 from .scene import Scene, are_sound, check_places

@@ -6,12 +6,10 @@ from collections.abc import Sequence
 from typing import Any
 
 from trigpoint.base.terminal import table
-from trigpoint.fusion.coverage.accuracy_map import WITHIN_M, AccuracyMap, class_name
+from trigpoint.fusion.coverage.accuracy_map import BY_FAILURE_M, WITHIN_M, AccuracyMap, class_name
 from trigpoint.fusion.coverage.floor import HEADINGS
 
 from .work import Gain
-
-_BY_FAILURE_M = (0.05, math.inf)
 
 
 def summary_text(maps: Sequence[AccuracyMap]) -> str:
@@ -27,12 +25,9 @@ def _text(each: AccuracyMap) -> str:
         for w in WITHIN_M
     ]
     rows.append(("not, where it is floor", f"{each.floor_m2 - each.area_m2(math.inf):.1f}", ""))
-    names = [class_name(w) for w in _BY_FAILURE_M]
+    names = [class_name(w) for w in BY_FAILURE_M]
     lost_head = ("camera", "sees m²", *(f"lost without it {name}" for name in names))
-    lost = [
-        (name, f"{each.seen_m2(i):.1f}", *(f"{each.lost_m2(i, w):.1f}" for w in _BY_FAILURE_M))
-        for i, name in enumerate(each.names)
-    ]
+    lost = [(name, *(f"{area:.1f}" for area in areas)) for name, areas in each.failures_m2()]
     return f"{table(head, rows)}\n\n{table(lost_head, lost)}"
 
 

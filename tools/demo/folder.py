@@ -6,9 +6,10 @@ from pathlib import Path
 import msgspec
 from msgspec import Struct
 
+from trigpoint.base.disk import replace_file
 from trigpoint.base.errors import InputError, OperationError, read_text, writing
 from trigpoint.site.config import BusConfig
-from trigpoint.tools.simulation.site_files import write_site, write_truth
+from trigpoint.tools.simulation.site_files import robot_port, write_site
 from trigpoint.tools.simulation.world import World
 
 MARKER = "demo.json"
@@ -51,7 +52,7 @@ class DemoFolder:
 
     def port(self, robot: str) -> Path:
         """The link to the simulated firmware's line."""
-        return self.path / f"{robot}.port"
+        return self.path / robot_port(robot)
 
     def journal(self, robot: str) -> Path:
         """What the robot itself believed."""
@@ -103,14 +104,12 @@ class DemoFolder:
                 pictures=True,
                 protocol=record.protocol,
             )
-            write_truth(world, self.path, epoch_ns=record.epoch_ns)
         self.write(record)
 
     def write(self, record: DemoRecord) -> None:
-        part = self.path / f"{MARKER}.part"
+        data = msgspec.json.format(msgspec.json.encode(record), indent=1) + b"\n"
         with writing(self.path):
-            part.write_bytes(msgspec.json.format(msgspec.json.encode(record), indent=1) + b"\n")
-            part.replace(self.path / MARKER)
+            replace_file(self.path / MARKER, data)
 
     def read(self) -> DemoRecord:
         """What was run; raise InputError where the file is not a demo's."""

@@ -20,7 +20,6 @@ from trigpoint.site.config import CameraConfig, Site, load_site, parse_site
 from trigpoint.site.option import site_here
 from trigpoint.site.target import load_target
 
-from .clocks import check_time_service
 from .fixes import apply, fixed_user, needed
 from .machine import (
     EXTRAS,
@@ -31,6 +30,7 @@ from .machine import (
     check_python,
     check_ros2,
     check_site_bus,
+    check_time_service,
     missing_packages,
 )
 

@@ -15,16 +15,7 @@ from trigpoint.base.errors import InputError, writing
 from trigpoint.site.config import Site
 
 UDEV_RULES = Path("/etc/udev/rules.d/70-trigpoint.rules")
-RULES = """\
-# Written by `trigpoint doctor --fix`. Cameras and serial ports belong to their groups, USB cameras
-# are not put to sleep, and ModemManager does not talk to robots.
-SUBSYSTEM=="video4linux", GROUP="video", MODE="0660"
-SUBSYSTEM=="media", GROUP="video", MODE="0660"
-ACTION=="add", SUBSYSTEM=="usb", ATTR{bDeviceClass}=="ef", TEST=="power/control", \
-ATTR{power/control}="on"
-SUBSYSTEM=="tty", KERNEL=="ttyUSB[0-9]*|ttyACM[0-9]*", GROUP="dialout", MODE="0660", \
-ENV{ID_MM_DEVICE_IGNORE}="1"
-"""
+RULES = Path(__file__).with_name(UDEV_RULES.name).read_text(encoding="utf-8")
 _RUN_S = 120.0
 
 

@@ -9,23 +9,18 @@ import numpy as np
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
-from starlette.responses import PlainTextResponse, Response
+from starlette.responses import Response
 from starlette.routing import Route
 
+from trigpoint.base.errors import InputError
 from trigpoint.edge.picture_sender import encode_jpeg
 from trigpoint.tools.web.access import Access, Guard
-from trigpoint.tools.web.answers import MARK, EventStream, packaged, served_app
-from trigpoint.tools.web.pages import Page, Pages, TooManyPagesError, event
+from trigpoint.tools.web.answers import EventStream, packaged, served_app
+from trigpoint.tools.web.pages import Page, Pages, event
 from trigpoint.tools.web.serving import served
 
 from .shown import Shown
 
-ASSETS = {
-    "look.html": "text/html",
-    "look.css": "text/css",
-    "look.js": "text/javascript",
-    MARK: "image/svg+xml",
-}
 MOST_PAGES = 8
 _KEPT = 4
 """Pictures that a page may still ask for."""
@@ -72,26 +67,14 @@ def page_served(moments: Moments, port: int) -> Iterator[str]:
 
 
 def app_of(moments: Moments, guard: Guard) -> Starlette:
-    files = packaged("trigpoint.tools.look", ASSETS)
-
-    async def front(_: Request) -> Response:
-        return Response(files["look.html"], media_type="text/html")
-
     async def events(request: Request) -> Response:
-        try:
-            return EventStream(request, moments.join(), moments)
-        except TooManyPagesError as reason:
-            return PlainTextResponse(str(reason), 503)
+        return EventStream(request, moments.join(), moments)
 
     async def picture(request: Request) -> Response:
         data = await run_in_threadpool(moments.jpeg, request.path_params["stamp"])
         if data is None:
-            return PlainTextResponse("that picture is not kept any more", 404)
+            raise InputError("that picture is not kept any more")
         return Response(data, media_type="image/jpeg")
 
-    routes = [
-        Route("/", front),
-        Route("/events", events),
-        Route("/picture/{stamp}", picture),
-    ]
-    return served_app(files, ASSETS, routes, guard)
+    routes = [Route("/events", events), Route("/picture/{stamp}", picture)]
+    return served_app(packaged("trigpoint.tools.look"), "look.html", routes, guard)

@@ -6,7 +6,7 @@ from msgspec import Struct
 
 from trigpoint.base.words import counted
 from trigpoint.edge.lens.calibration import Calibration
-from trigpoint.edge.lens.calibration_text import covered_share, parameter_names, rounded
+from trigpoint.edge.lens.calibration_text import covered_share, parameter_rows
 
 from .guidance import Need
 from .seen import Seen
@@ -84,19 +84,13 @@ def facts_of(seen: Sequence[Seen]) -> list[tuple[str, str]]:
 
 
 def lens_of(found: Calibration) -> Lens:
-    camera, known = found.camera, found.known
-    names = parameter_names(camera.model)
     rows = [
-        (
-            name,
-            f"{rounded(value, sigma)} ± {rounded(sigma, sigma)}"
-            if found.has_sigmas
-            else rounded(value, 0),
-        )
-        for name, value, sigma in zip(names, camera.parameters, known.sigma, strict=True)
+        (name, f"{value} ± {sigma}" if sigma else value)
+        for name, value, sigma in parameter_rows(found)
     ]
+    model, views = found.camera.model.value, counted(len(found.used), "view")
     summary = (
-        f"{camera.model.value} of {counted(len(found.used), 'view')}: RMS {found.fit.rms_px:.2f} "
-        f"px a corner, {100 * covered_share(found):.0f} % of the picture covered"
+        f"{model} of {views}: RMS {found.fit.rms_px:.2f} px a corner, "
+        f"{100 * covered_share(found):.0f} % of the picture covered"
     )
     return Lens(summary, rows, [str(doubt) for doubt in found.doubts])

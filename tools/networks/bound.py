@@ -14,7 +14,7 @@ from trigpoint.fusion.model.readings import Readings
 from trigpoint.map.network import load_tum
 from trigpoint.recorder.session.recording import Recording
 from trigpoint.tools.sessions.messages import messages_of
-from trigpoint.tools.simulation.motion.way import poses_at
+from trigpoint.tools.simulation.motion.odometry import poses_at
 
 from .cramer_rao import Bound, Oracle, cramer_rao
 from .truth import load_truth

@@ -2,11 +2,11 @@
 
 import gzip
 import io
-import os
 import tarfile
 from collections.abc import Iterable
 from pathlib import Path, PurePosixPath
 
+from trigpoint.base.disk import replace_file
 from trigpoint.base.errors import writing
 
 from .contents import PRIVATE, Packed
@@ -17,14 +17,10 @@ _FOLDER_MODE, _KEYS_MODE = 0o755, 0o700
 def write_archive(path: Path, folder: str, files: Iterable[Packed]) -> None:
     """Write a tar.gz in which everything lies in one folder. It may hold keys, so that only its
     owner can read it. Raises OperationError."""
-    part = path.with_name(f"{path.name}.part")
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        part.unlink(missing_ok=True)
-        descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, PRIVATE)
-        with os.fdopen(descriptor, "wb") as file:
-            file.write(_compressed(folder, sorted(files, key=lambda packed: packed.path)))
-        part.replace(path)
+        data = _compressed(folder, sorted(files, key=lambda packed: packed.path))
+        replace_file(path, data, mode=PRIVATE)
 
 
 def _compressed(folder: str, files: list[Packed]) -> bytes:

@@ -7,18 +7,19 @@ import typer
 
 from trigpoint.base.errors import InputError
 from trigpoint.base.words import counted
+from trigpoint.contract.access import Kind
 from trigpoint.site.config import Site, is_loopback, load_site
 from trigpoint.site.option import SITE_FILE, SiteFile
 
 from .archive import write_archive
 from .contents import PRIVATE, contents
-from .machine import Node, Role, site_that_connects, this_machine, wheel_for
+from .machine import Node, Service, site_that_connects, this_machine, wheel_for
 
 _DIST, _CONSTRAINTS = Path("dist"), Path("constraints.txt")
 
 
 def main(
-    kind: Annotated[Role, typer.Argument(help="What the machine is to run.")],
+    kind: Annotated[Service, typer.Argument(help="What the machine is to run.")],
     name: Annotated[
         str, typer.Argument(metavar="ID", help="Its name; a camera's in the site file.")
     ],
@@ -47,14 +48,14 @@ def main(
     Unpack it there, read install.sh, and run it as root. The same input gives the same bytes.
     """
     loaded = load_site(site)
-    node = Node.of(loaded, kind, name)
+    node = Node.of(loaded, Kind(kind), name)
     if connect is not None:
         loaded = site_that_connects(loaded, connect)
     _check_reaches(loaded, node)
     target = machine or this_machine()
     found = wheel_for(target, wheel, _DIST)
     files = contents(loaded, node, wheel=found, constraints=constraints, machine=target)
-    folder = f"{loaded.name}-{node.role}-{node.name}"
+    folder = f"{loaded.name}-{node.kind}-{node.name}"
     archive = out / f"{folder}.tar.gz"
     write_archive(archive, folder, files)
     keys = sum(file.mode == PRIVATE and file.path.endswith(".key") for file in files)
@@ -67,12 +68,12 @@ def main(
 
 def _check_reaches(site: Site, node: Node) -> None:
     """Raise InputError where a machine of its own would reach nobody."""
-    if node.role not in (Role.CAMERA, Role.ROBOT):
+    if node.kind not in (Kind.CAMERA, Kind.ROBOT):
         return
     reaches = site.bus.scouting or any(not is_loopback(one) for one in site.bus.connect)
     if site.bus.listen or not reaches:
         raise InputError(
-            f"by this site file the machine of {node.role} {node.name} "
+            f"by this site file the machine of {node.kind} {node.name} "
             f"{'listens itself' if site.bus.listen else 'connects to no other'}; say where the "
             "server is: --connect tls/ADDRESS:7447"
         )

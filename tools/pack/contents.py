@@ -1,17 +1,19 @@
-"""The files of an archive: bytes and modes by their path in it."""
+"""The files of an archive: bytes and modes by their path in it, and the script that installs them:
+short, since somebody is to read it before root runs it."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path, PurePosixPath
 
 from msgspec import Struct
 
 from trigpoint.base.errors import ConfigError, InputError, read_text
+from trigpoint.contract.access import Kind
 from trigpoint.recorder.writing.attachments import site_files
 from trigpoint.site.config import Site
+from trigpoint.tools.site.filled import filled
 from trigpoint.tools.site.systemd_units import SERVICE_USER, SYSUSERS, sysusers_text, unit_text
 
-from .install_script import FILES_AT, PROGRAM_AT, install_script
-from .machine import Node, Role
+from .machine import Node
 
 PUBLIC, PRIVATE, EXECUTABLE = 0o644, 0o600, 0o755
 
@@ -68,7 +70,7 @@ def _site_files(site: Site, node: Node) -> Iterator[Packed]:
     yield Packed("site/site.toml", site.text.encode(), PRIVATE)  # cameras' passwords
     for name, data, _ in site_files(site)[1:]:
         yield Packed(_inside(name), data)
-    if node.role is Role.ROBOT and (key := site.robot(node.name).mavlink.key) is not None:
+    if node.kind is Kind.ROBOT and (key := site.robot(node.name).mavlink.key) is not None:
         text = read_text(site.path(key), "signing key", ConfigError)
         yield Packed(_inside(key), text.encode(), PRIVATE)
 
@@ -88,18 +90,17 @@ def _keys(site: Site, node: Node) -> Iterator[Packed]:
     """What `trigpoint secure` made for the node, and for the machine where it listens."""
     if site.bus.tls is None:
         return
-    from trigpoint.contract.access import Kind
     from trigpoint.security import credentials
 
-    held = [credentials.node_credentials(site, Kind(node.role.value), node.name)]
-    if site.bus.listen and node.role is not Role.ROUTER:
+    held = [credentials.node_credentials(site, node.kind, node.name)]
+    if site.bus.listen and node.kind is not Kind.ROUTER:
         held.append(credentials.router_credentials(site))
     place = _inside(site.bus.tls.directory)
     yield Packed(f"{place}/{credentials.TRUST}", _bytes(held[0].trust))
     for one in held:
         yield Packed(f"{place}/{one.key.name}", _bytes(one.key), PRIVATE)
         yield Packed(f"{place}/{one.certificate.name}", _bytes(one.certificate))
-    if node.role in (Role.ROBOT, Role.FUSION):
+    if node.kind in (Kind.ROBOT, Kind.FUSION):
         signed = credentials.directory(site) / credentials.CORRECTIONS
         credentials.load_public_key(signed)
         yield Packed(f"{place}/{signed.name}", _bytes(signed))
@@ -112,3 +113,33 @@ def _bytes(path: Path) -> bytes:
         raise InputError(
             f"{path} cannot be read ({reason.strerror}); see that it is there"
         ) from None
+
+
+PROGRAM_AT = Path("/opt/trigpoint")
+FILES_AT = Path("/var/lib/trigpoint")
+_SCRIPT = Path(__file__).with_name("install.sh")
+
+
+def install_script(
+    site: str, node: Node, *, wheel: str, extras: Sequence[str], machine: str
+) -> str:
+    """A POSIX shell script; `machine`: what `uname -m` must say, "" for any."""
+    return filled(
+        _SCRIPT,
+        role=node.kind.value,
+        name=node.name,
+        site=site,
+        program_at=str(PROGRAM_AT),
+        files_at=str(FILES_AT),
+        wheel=wheel,
+        extras=f"[{','.join(extras)}]" if extras else "",
+        unit=node.unit.name,
+        service=node.service,
+        machine_check=_machine_check(machine) if machine else "",
+    )
+
+
+def _machine_check(machine: str) -> str:
+    return f"""\
+[ "$(uname -m)" = {machine} ] ||
+    stop "this archive is for {machine}; pack one with --machine $(uname -m)\""""

@@ -1,9 +1,9 @@
-"""What is packed for one machine: its role, the wheel for it, and its end of the bus."""
+"""What is packed for one machine: its node, the wheel for it, and its end of the bus."""
 
 import os
 import re
-from enum import StrEnum
 from pathlib import Path
+from typing import Literal
 
 from msgspec import Struct, structs
 from msgspec.structs import replace
@@ -15,19 +15,10 @@ from trigpoint.edge.sources.frames import STREAMED
 from trigpoint.site.config import BusConfig, Site, parse_site
 from trigpoint.tools.site.systemd_units import UNITS, Unit
 
-
-class Role(StrEnum):
-    """The nodes that run as services."""
-
-    CAMERA = "camera"
-    ROBOT = "robot"
-    FUSION = "fusion"
-    RECORDER = "recorder"
-    ROUTER = "router"
-
-
-_EXTRAS = {Role.CAMERA: ("edge",), Role.ROUTER: ()}
-"""What of the program is installed where that is not called like the role."""
+Service = Literal["camera", "robot", "fusion", "recorder", "router"]
+"""The kinds of node that run as services."""
+_EXTRAS = {Kind.CAMERA: ("edge",), Kind.ROUTER: ()}
+"""What of the program is installed where that is not called like the kind."""
 _BUS_TABLE = re.compile(r"^\[bus\][^\n]*\n(?:(?!\[).*\n?)*", re.MULTILINE)
 _ENDPOINTS = re.compile(
     r"""^(?:connect|listen)\s*=\s*\[(?:[^\]"']|"[^"]*"|'[^']*')*\][^\n]*\n?""", re.MULTILINE
@@ -37,20 +28,20 @@ _ENDPOINTS = re.compile(
 class Node(Struct, frozen=True):
     """A node of the site that is to run on a machine of its own."""
 
-    role: Role
+    kind: Kind
     name: str
 
     @classmethod
-    def of(cls, site: Site, role: Role, name: str) -> "Node":
+    def of(cls, site: Site, kind: Kind, name: str) -> "Node":
         """A node of the site file; raises ConfigError or InputError where there is none."""
-        identity_in(site, Kind(role.value), name)
-        return cls(role, name)
+        identity_in(site, kind, name)
+        return cls(kind, name)
 
     @property
     def unit(self) -> Unit:
         """Its unit for systemd; a router's says its name."""
-        [unit] = (unit for unit in UNITS if unit.kind.value == self.role.value)
-        if self.role is Role.ROUTER:
+        [unit] = (unit for unit in UNITS if unit.kind is self.kind)
+        if self.kind is Kind.ROUTER:
             return replace(unit, words=f"{unit.words} --name {self.name}")
         return unit
 
@@ -60,10 +51,10 @@ class Node(Struct, frozen=True):
         return f"{self.unit.name}{self.name}" if self.unit.name.endswith("@") else self.unit.name
 
     def extras(self, site: Site) -> tuple[str, ...]:
-        extras = _EXTRAS.get(self.role, (self.role.value,))
-        if self.role is Role.CAMERA and site.camera(self.name).scheme in STREAMED:
+        extras = _EXTRAS.get(self.kind, (self.kind.value,))
+        if self.kind is Kind.CAMERA and site.camera(self.name).scheme in STREAMED:
             extras += ("streams",)
-        if self.role is Role.ROBOT and site.robot(self.name).protocol_name == "mavlink":
+        if self.kind is Kind.ROBOT and site.robot(self.name).protocol_name == "mavlink":
             extras += ("mavlink",)
         return extras if site.bus.tls is None else (*extras, "secure")
 

@@ -10,7 +10,7 @@ from trigpoint.edge.lens.calibration_text import (
     advice,
     covered_share,
     held_out_text,
-    parameter_names,
+    parameter_rows,
     rounded,
 )
 from trigpoint.fusion.estimators.residuals import CameraResiduals
@@ -57,20 +57,13 @@ def _judgement(found: Calibration) -> str:
 
 
 def _numbers(found: Calibration) -> str:
-    names = parameter_names(found.camera.model)
-    values = zip(names, found.camera.parameters.tolist(), found.known.sigma.tolist(), strict=True)
     words = (
         "Sigmas are one standard deviation, by the residuals and by how much views that differ "
         "disagree; views that are alike count as one. The coefficients of one lens are "
         "strongly correlated: only together do they mean anything."
     )
-    cells = (
-        (name, rounded(value, sigma), rounded(sigma, sigma) if found.has_sigmas else "–")
-        for name, value, sigma in values
-    )
-    return section(
-        "The lens", note(words), scrolling(table(("", "value", "sigma"), map(row, cells)))
-    )
+    rows = (row((name, value, sigma or "–")) for name, value, sigma in parameter_rows(found))
+    return section("The lens", note(words), scrolling(table(("", "value", "sigma"), rows)))
 
 
 def _residuals(found: Calibration, name: str) -> str:

@@ -6,7 +6,6 @@ anchors of all who may come in; to revoke is to take one out (decisions/0711).
 """
 
 import ipaddress
-import os
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -17,6 +16,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from msgspec import Struct
 
+from trigpoint.base.disk import replace_file
 from trigpoint.base.errors import InputError, writing
 from trigpoint.contract.access import Identity, Kind
 from trigpoint.security.credentials import (
@@ -30,6 +30,7 @@ from trigpoint.security.credentials import (
     load_certificates,
     load_key,
 )
+from trigpoint.site.config import Site, TlsConfig
 
 _LONG = timedelta(days=20 * 365)
 """Validity of the authority and the anchors; they end by revocation instead."""
@@ -51,29 +52,35 @@ class Listed(Struct, frozen=True):
 
 
 class Authority:
-    """The authority's private folder, and the folder of the files that it gives out."""
+    """The authority's private `folder`, and the folder of the files that are `given` out."""
 
     def __init__(self, site: str, folder: Path, given: Path) -> None:
-        self._site, self._folder, self._given = site, folder, given
+        self._site, self.folder, self.given = site, folder, given
         self._anchors, self._revoked = folder / "anchors", folder / "revoked"
+
+    @classmethod
+    def of(cls, site: Site, folder: Path | None) -> "Authority":
+        """A site's; `folder`: of its own, if that is not beside the site file."""
+        given = site.path((site.bus.tls or TlsConfig()).directory)
+        return cls(site.name, folder or site.path("authority"), given)
 
     @property
     def trust(self) -> Path:
         """The file that lists who is admitted."""
-        return self._given / TRUST
+        return self.given / TRUST
 
     def create(self) -> None:
         """Make the authority's key and certificate; raise InputError if they exist."""
-        if (self._folder / "authority.key").exists():
-            raise InputError(f"{self._folder} has an authority already; move it away first")
+        if (self.folder / "authority.key").exists():
+            raise InputError(f"{self.folder} has an authority already; move it away first")
         key = ec.generate_private_key(ec.SECP256R1())
         name = f"authority of {self._site}"
         certificate = _signed(name, key, name, key, _LONG, is_authority=True)
-        for folder in (self._folder, self._anchors, self._revoked):
+        for folder in (self.folder, self._anchors, self._revoked):
             _make_folder(folder, 0o700)
-        _make_folder(self._given, 0o755)
-        _write_key(self._folder / "authority.key", key)
-        _write(self._folder / "authority.pem", _pem(certificate), 0o644)
+        _make_folder(self.given, 0o755)
+        _write_key(self.folder / "authority.key", key)
+        _write(self.folder / "authority.pem", _pem(certificate), 0o644)
         self._write_trust()
 
     def issue(self, identity: Identity, days: int, addresses: Sequence[str]) -> list[Path]:
@@ -89,19 +96,19 @@ class Authority:
                 f"{identity.kind} {identity.name} has a certificate already; "
                 "`trigpoint secure renew` prolongs it, `secure revoke` ends it"
             )
-        authority = load_key(self._folder / "authority.key")
+        authority = load_key(self.folder / "authority.key")
         anchor_key = ec.generate_private_key(ec.SECP256R1())
         name, issuer = anchor_name(identity), f"authority of {self._site}"
         certificate = _signed(name, anchor_key, issuer, authority, _LONG, is_authority=True)
         _write_key(anchor[0], anchor_key)
         _write(anchor[1], _pem(certificate), 0o644)
         key = ec.generate_private_key(ec.SECP256R1())
-        _write_key(self._given / f"{identity.stem}.key", key)
+        _write_key(self.given / f"{identity.stem}.key", key)
         self._certify(identity, key.public_key(), days, addresses)
         self._write_trust()
-        files = [self._given / f"{identity.stem}.key", self._given / f"{identity.stem}.pem"]
+        files = [self.given / f"{identity.stem}.key", self.given / f"{identity.stem}.pem"]
         if identity.kind is Kind.FUSION:
-            _write(self._given / CORRECTIONS, _public_pem(key.public_key()), 0o644)
+            _write(self.given / CORRECTIONS, _public_pem(key.public_key()), 0o644)
         return files
 
     def renew(self, identity: Identity, days: int, addresses: Sequence[str] = ()) -> Path:
@@ -110,24 +117,24 @@ class Authority:
         `addresses`: of a router that is reached elsewhere from now on; else those of before.
         """
         self._require(identity)
-        file = self._folder / f"{identity.stem}.pem"
+        file = self.folder / f"{identity.stem}.pem"
         before = load_certificate(file)
         public = before.public_key()
         assert isinstance(public, ec.EllipticCurvePublicKey)  # made by this authority
         self._certify(identity, public, days, addresses or _addresses(before))
-        return self._given / f"{identity.stem}.pem"
+        return self.given / f"{identity.stem}.pem"
 
     def revoke(self, identity: Identity) -> None:
         """Remove a node's anchor from the trust file, and its files from this folder."""
         self._require(identity)
         stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
         with writing(self._revoked):
-            for path in (*self._anchor_files(identity), self._folder / f"{identity.stem}.pem"):
+            for path in (*self._anchor_files(identity), self.folder / f"{identity.stem}.pem"):
                 path.rename(self._revoked / f"{path.stem}.{stamp}{path.suffix}")
-        for path in self._given.glob(f"{identity.stem}.*"):
+        for path in self.given.glob(f"{identity.stem}.*"):
             path.unlink()
         if identity.kind is Kind.FUSION:
-            (self._given / CORRECTIONS).unlink(missing_ok=True)
+            (self.given / CORRECTIONS).unlink(missing_ok=True)
         self._write_trust()
 
     def admit(self, anchor: Path) -> Identity:
@@ -148,14 +155,14 @@ class Authority:
     def listed(self) -> list[Listed]:
         """Every node that has or had a certificate, admitted ones first."""
         self._check()
-        found = [_listed(path, is_revoked=False) for path in self._folder.glob("*-*.pem")]
+        found = [_listed(path, is_revoked=False) for path in self.folder.glob("*-*.pem")]
         found += [_listed(path, is_revoked=True) for path in self._revoked.glob("*.*.pem")]
         known = [one for one in found if one is not None]
         return sorted(known, key=lambda one: (one.is_revoked, one.identity.common_name))
 
     def strangers(self) -> list[str]:
         """Names in the trust file whose anchors this authority neither signed nor admitted."""
-        authority = load_certificate(self._folder / "authority.pem")
+        authority = load_certificate(self.folder / "authority.pem")
         admitted = {_pem(load_certificate(path)) for path in self._anchors.glob("*.*.pem")}
         anchors = load_certificates(self.trust) if self.trust.stat().st_size else []
         return [
@@ -165,8 +172,8 @@ class Authority:
         ]
 
     def _check(self) -> None:
-        if not (self._folder / "authority.pem").exists():
-            raise InputError(f"{self._folder} has no authority; `trigpoint secure init` makes it")
+        if not (self.folder / "authority.pem").exists():
+            raise InputError(f"{self.folder} has no authority; `trigpoint secure init` makes it")
 
     def _require(self, identity: Identity) -> None:
         self._check()
@@ -200,7 +207,7 @@ class Authority:
             addresses=addresses,
             serves=identity.kind is Kind.ROUTER,
         )
-        for folder in (self._given, self._folder):
+        for folder in (self.given, self.folder):
             _write(folder / f"{identity.stem}.pem", _pem(certificate), 0o644)
 
     def _write_trust(self) -> None:
@@ -290,13 +297,8 @@ def _write_key(path: Path, key: ec.EllipticCurvePrivateKey) -> None:
 
 
 def _write(path: Path, data: bytes, mode: int) -> None:
-    """Replace a file atomically; it never exists with wider permissions than intended."""
-    new = path.with_name(f"{path.name}.new")
     with writing(path):
-        new.unlink(missing_ok=True)
-        with os.fdopen(os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as file:
-            file.write(data)
-        new.replace(path)
+        replace_file(path, data, mode=mode)
 
 
 def _make_folder(path: Path, mode: int) -> None:

@@ -11,7 +11,7 @@ from trigpoint.base.errors import writing
 from trigpoint.bus.settings import router_settings
 from trigpoint.contract.access import Kind, identity_in
 from trigpoint.security.credentials import CORRECTIONS, TRUST, WARNING, door
-from trigpoint.site.config import Site, TlsConfig, load_site
+from trigpoint.site.config import load_site
 from trigpoint.site.option import SITE_FILE, SiteFile
 
 from .authority import Authority, Listed, addresses_of
@@ -33,9 +33,11 @@ _YEAR = 365
 def init(site: SiteFile = SITE_FILE, authority: Folder = None) -> None:
     """Make the site's authority. Its folder stays with whoever admits nodes, off the network."""
     loaded = load_site(site)
-    _authority(loaded, authority).create()
-    folder = _folder(loaded, authority)
-    typer.echo(f"made the authority of site {loaded.name} in {folder}: keep it off the network")
+    made = Authority.of(loaded, authority)
+    made.create()
+    typer.echo(
+        f"made the authority of site {loaded.name} in {made.folder}: keep it off the network"
+    )
     if loaded.bus.tls is None:
         typer.echo(f"next: write [bus.tls] into {site}, and tls/… where [bus] connects and listens")
     typer.echo(
@@ -55,11 +57,12 @@ def node(
     loaded = load_site(site)
     identity = identity_in(loaded, kind, name)
     addresses = addresses_of(kind, address or ())
-    files = _authority(loaded, authority).issue(identity, days, addresses)
+    found = Authority.of(loaded, authority)
+    files = found.issue(identity, days, addresses)
     typer.echo(f"{identity.common_name} may come in for {days} days")
     typer.echo(f"to its machine, 0600 and its owner's: {' '.join(str(path) for path in files)}")
     public = [TRUST, CORRECTIONS] if kind is Kind.FUSION else [TRUST]
-    names = " and ".join(str(_given(loaded) / name) for name in public)
+    names = " and ".join(str(found.given / name) for name in public)
     typer.echo(f"to every machine that listens, and to this one: {names}")
 
 
@@ -78,7 +81,7 @@ def renew(
     loaded = load_site(site)
     identity = identity_in(loaded, kind, name, is_known=True)
     addresses = addresses_of(kind, address) if address else ()
-    file = _authority(loaded, authority).renew(identity, days, addresses)
+    file = Authority.of(loaded, authority).renew(identity, days, addresses)
     typer.echo(f"{identity.common_name} is good for {days} days; copy {file} to its machine")
 
 
@@ -88,7 +91,7 @@ def revoke(
     """End a node's certificate before its time."""
     loaded = load_site(site)
     identity = identity_in(loaded, kind, name, is_known=True)
-    found = _authority(loaded, authority)
+    found = Authority.of(loaded, authority)
     found.revoke(identity)
     typer.echo(f"{identity.common_name} is out once every machine that listens has {found.trust}")
 
@@ -100,7 +103,7 @@ def admit(
 ) -> None:
     """Trust another site's router to hand this site's keys on."""
     loaded = load_site(site)
-    found = _authority(loaded, authority)
+    found = Authority.of(loaded, authority)
     identity = found.admit(anchor)
     typer.echo(f"{identity.common_name} may hand on site {loaded.name}; copy {found.trust}")
 
@@ -112,7 +115,7 @@ def list_nodes(
 ) -> None:
     """Who may come in, until when, and who was revoked; exit 1 where a certificate ran out."""
     loaded = load_site(site)
-    found = _authority(loaded, authority)
+    found = Authority.of(loaded, authority)
     nodes, strangers = found.listed(), found.strangers()
     if json:
         rows = [_row(one) for one in nodes] + [
@@ -159,15 +162,3 @@ def _state(one: Listed) -> str:
         return "revoked"
     left = one.until - datetime.now(UTC)
     return "expired" if left.total_seconds() <= 0 else "expiring" if left <= WARNING else "ok"
-
-
-def _authority(site: Site, folder: Path | None) -> Authority:
-    return Authority(site.name, _folder(site, folder), _given(site))
-
-
-def _folder(site: Site, folder: Path | None) -> Path:
-    return folder or site.path("authority")
-
-
-def _given(site: Site) -> Path:
-    return site.path((site.bus.tls or TlsConfig()).directory)

@@ -109,23 +109,17 @@ def _names(path: Path, bag: Bag, roles: Sequence[Role], inputs: Inputs) -> Mappi
             for beside in _infos_beside(role.topic):
                 if is_info(beside):
                     names.setdefault(beside, role.name)
-    if not any(bag.topics.get(topic) == ODOMETRY for topic in names) and (
-        odometry := sorted(topic for topic, kind in bag.topics.items() if kind == ODOMETRY)
+    robot, camera = next(iter(site.robots), "r1"), next(iter(site.cameras), "c1")
+    for kinds, whose, name in (
+        ((ODOMETRY,), "the odometry of a robot", robot),
+        ((*PICTURES, SIGHTINGS), "what a camera saw", camera),
     ):
-        robot = next(iter(site.robots), "r1")
-        raise InputError(
-            f"{path}: no --topic names the odometry of a robot; there is {', '.join(odometry)}:"
-            f" add --topic {robot}={odometry[0]}"
-        )
-    seen = (*PICTURES, SIGHTINGS)
-    if not any(bag.topics.get(topic) in seen for topic in names) and (
-        given := sorted(topic for topic, kind in bag.topics.items() if kind in seen)
-    ):
-        camera = next(iter(site.cameras), "c1")
-        raise InputError(
-            f"{path}: no --topic names what a camera saw; there is {', '.join(given)}: add "
-            f"--topic {camera}={given[0]}"
-        )
+        there = sorted(topic for topic, kind in bag.topics.items() if kind in kinds)
+        if there and not any(topic in there for topic in names):
+            raise InputError(
+                f"{path}: no --topic names {whose}; there is {', '.join(there)}: "
+                f"add --topic {name}={there[0]}"
+            )
     return names
 
 

@@ -10,7 +10,7 @@ from trigpoint.base.errors import writing
 
 from .serial import firmware
 from .session import write_session
-from .site_files import robot_port, write_site, write_truth
+from .site_files import robot_port, write_site
 from .world import load_world
 from .world_file import TargetChoice
 
@@ -67,7 +67,6 @@ def robot(
     link = out / robot_port(name)
     with writing(out):
         site = write_site(simulated, out, epoch_ns=epoch_ns, protocol=protocol)
-        write_truth(simulated, out, epoch_ns=epoch_ns)
     cameras = " ".join(f"--camera {camera}" for camera in simulated.cameras)
     typer.echo(f"robot {name} drives for {simulated.duration_s:.0f} s; in other terminals:")
     for part, rest in (

@@ -45,9 +45,9 @@ def write_site(
     """Write site.toml with its target files and every camera's intrinsics; return its path.
 
     `epoch_ns`: of a world that goes on in real time, when it begins; its robots are behind
-    `robot_port`, and behind none where there is no such time. `recordings`, `pictures`: the
-    recorder's directory and choice; `name`: the site's, if not the world's; `more_cameras`: tables
-    of cameras that the world lacks.
+    `robot_port`, and the truth lies beside; without such a time its robots are behind no port.
+    `recordings`, `pictures`: the recorder's directory and choice; `name`: the site's, if not the
+    world's; `more_cameras`: tables of cameras that the world lacks.
     """
     directory.mkdir(parents=True, exist_ok=True)
     targets = write_targets({name: world.target(name) for name in world.robots}, directory)
@@ -75,6 +75,8 @@ def write_site(
     lines += toml_table("recorder", {"directory": recordings, "pictures": pictures})
     path = directory / "site.toml"
     path.write_text("\n".join(lines), encoding="utf-8")
+    if epoch_ns is not None:
+        write_truth(world, directory, epoch_ns=epoch_ns)
     return path
 
 

@@ -17,9 +17,9 @@ from msgspec import Struct
 
 from trigpoint.contract.access import Kind
 
-WATCHDOG_S = 30
+from .filled import filled
 
-
+_UNIT = Path(__file__).with_name("node.service")
 SYSUSERS = "trigpoint.conf"
 SERVICE_USER = "trigpoint"
 """The user of the nodes if root writes the units: no node runs as root."""
@@ -60,35 +60,6 @@ UNITS = (
     Unit(Kind.ROUTER, "trigpoint-router", "the router", "router"),
 )
 
-SHUT_IN = """\
-NoNewPrivileges=yes
-CapabilityBoundingSet=
-AmbientCapabilities=
-UMask=0027
-PrivateTmp=yes
-ProtectSystem=strict
-ProtectHome=read-only
-ProtectProc=invisible
-ProtectClock=yes
-ProtectHostname=yes
-ProtectControlGroups=yes
-ProtectKernelLogs=yes
-ProtectKernelModules=yes
-ProtectKernelTunables=yes
-RestrictNamespaces=yes
-RestrictRealtime=yes
-RestrictSUIDSGID=yes
-LockPersonality=yes
-RemoveIPC=yes
-KeyringMode=private
-# Netlink tells which network interfaces there are.
-RestrictAddressFamilies=AF_UNIX AF_INET AF_INET6 AF_NETLINK
-SystemCallArchitectures=native
-SystemCallFilter=@system-service
-SystemCallFilter=~@privileged @resources
-SystemCallErrorNumber=EPERM
-"""
-
 
 def unit_files(folder: Path, site: Path, sessions: Path) -> dict[Path, str]:
     """Every unit's file in a folder and its text; `site`: the site file; `sessions`: the recorder's
@@ -123,49 +94,26 @@ def unit_text(
     """The text of a unit that runs this installation, or another one's `python`; `user`: who runs
     it, if not who does here."""
     command = f"{_quoted(python)} -m trigpoint {unit.words} --site {_quoted(str(site))}"
-    folder = _escaped(str(site.parent))
-    group = f"SupplementaryGroups={unit.group}\n" if unit.group else ""
-    written = dict.fromkeys([site.parent, sessions] if unit.writes else [])
     # The dash: a missing folder does not prevent the start.
-    writes = "".join(f'ReadWritePaths="-{_escaped(str(path))}"\n' for path in written)
-    return f"""\
-[Unit]
-Description=Trigpoint: {unit.description}
-Wants=network-online.target
-After=network-online.target time-sync.target
-# A node is started again as often as it takes: nobody is there to do it.
-StartLimitIntervalSec=0
-
-[Service]
-Type=notify
-ExecStart={command}
-WorkingDirectory={folder}
-User={user or service_user()}
-{group}Restart=always
-RestartSec=2
-# Where systemd knows these two (254), one that keeps failing is started ever more rarely.
-RestartSteps=6
-RestartMaxDelaySec=60
-# What is wrong with a file is not mended by starting again.
-RestartPreventExitStatus=2
-WatchdogSec={WATCHDOG_S}
-# A node waits for the bus as long as it takes.
-TimeoutStartSec=infinity
-# A stop is told to the node, which ends its helpers in order; it takes two seconds.
-KillMode=mixed
-TimeoutStopSec=20
-{SHUT_IN}{writes}{_devices(unit)}
-[Install]
-WantedBy=multi-user.target
-"""
+    written = dict.fromkeys([site.parent, sessions] if unit.writes else [])
+    return filled(
+        _UNIT,
+        description=unit.description,
+        command=command,
+        folder=_escaped(str(site.parent)),
+        user=user or service_user(),
+        group=f"SupplementaryGroups={unit.group}" if unit.group else "",
+        writes="\n".join(f'ReadWritePaths="-{_escaped(str(path))}"' for path in written),
+        devices=_devices(unit),
+    )
 
 
 def _devices(unit: Unit) -> str:
     """The devices that a node sees: its own, or none but /dev/null and the like."""
     if not unit.devices:
-        return "PrivateDevices=yes\nPrivateUsers=yes\n"
+        return "PrivateDevices=yes\nPrivateUsers=yes"
     rows = [f"DeviceAllow={device} rw" for device in unit.devices]
-    return "\n".join(["DevicePolicy=closed", *rows, ""])
+    return "\n".join(["DevicePolicy=closed", *rows])
 
 
 def _quoted(word: str) -> str:

@@ -11,7 +11,7 @@ from msgspec import Struct, structs
 from trigpoint.base.errors import TargetError
 from trigpoint.edge.registration.dictionaries import predefined_dictionary
 from trigpoint.site.target import NOWHERE, Face, Numbering, Pattern
-from trigpoint.tools.shapes.upright import print_size
+from trigpoint.tools.shapes.bodies import print_size
 
 _FEWEST = {Pattern.CHECKERBOARD: 7, Pattern.CHARUCO: 5, Pattern.APRILGRID: 3}
 """Squares (tags) along the shorter side where nobody says how many: those of the paper's board, of

@@ -8,8 +8,7 @@ from msgspec import Struct
 
 from trigpoint.base.errors import InputError, TargetError
 from trigpoint.site.target import Face, Target
-from trigpoint.tools.shapes.bodies import VANE_AZIMUTHS_DEG, Side, box_faces, vane_faces
-from trigpoint.tools.shapes.upright import MARGIN_M
+from trigpoint.tools.shapes.bodies import MARGIN_M, VANE_AZIMUTHS_DEG, Side, box_faces, vane_faces
 
 from .check import check_target
 from .fitting import Wish, fitted

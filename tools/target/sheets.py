@@ -6,7 +6,7 @@ from enum import StrEnum
 from msgspec import Struct
 
 from trigpoint.site.target import Face
-from trigpoint.tools.shapes.upright import print_size
+from trigpoint.tools.shapes.bodies import print_size
 
 MARGIN_MM = 10.0
 HEAD_MM = 12.0

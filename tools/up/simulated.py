@@ -16,7 +16,7 @@ from trigpoint.site.config import CameraConfig, Site
 from trigpoint.site.toml_file import said_of
 from trigpoint.tools.parts.specs import firmware
 from trigpoint.tools.parts.supervisor import PartSpec
-from trigpoint.tools.simulation.site_files import robot_port, write_site, write_truth
+from trigpoint.tools.simulation.site_files import robot_port, write_site
 from trigpoint.tools.simulation.world import World, load_world
 
 _SITE, _WORLD, _SEED, _TARGET = "simulated", "lab", 0, "charuco"
@@ -57,7 +57,6 @@ def simulated_site(folder: Path, real: Site | None, cameras: Sequence[str]) -> S
             name=_SITE,
             more_cameras={} if real is None else _own_cameras(world, real, cameras),
         )
-        write_truth(world, folder, epoch_ns=epoch_ns)
     link = folder.absolute() / robot_port(robot)
     world_of = {"world": _WORLD, "seed": _SEED, "target": _TARGET}
     robots = firmware(robot, epoch_ns=epoch_ns, link=link, **world_of)

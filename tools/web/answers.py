@@ -2,9 +2,10 @@
 
 import asyncio
 import zlib
-from collections.abc import AsyncIterator, Iterable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import suppress
 from importlib import resources
+from pathlib import PurePath
 
 import msgspec
 from starlette.applications import Starlette
@@ -12,24 +13,36 @@ from starlette.datastructures import MutableHeaders
 from starlette.middleware import Middleware
 from starlette.middleware.gzip import GZipMiddleware
 from starlette.requests import Request
-from starlette.responses import Response
+from starlette.responses import PlainTextResponse, Response
 from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from trigpoint.base.errors import InputError, OperationError
 
 from .access import DAY_S, Guard
 from .pages import Page, Pages
 
 _PACKAGE = "trigpoint.tools.web"
-MARK = "mark.svg"
-"""The picture in the corner of every page."""
+_TYPES = {
+    ".html": "text/html",
+    ".css": "text/css",
+    ".js": "text/javascript",
+    ".svg": "image/svg+xml",
+}
 SEND_S = 5.0
 """A page that takes nothing for so long is hung up on."""
 
 
-def packaged(package: str, names: Iterable[str]) -> dict[str, bytes]:
-    """The files of a package's page, by name, and `MARK`, which all pages share."""
-    own, common = (resources.files(each).joinpath("page") for each in (package, _PACKAGE))
-    return {name: (common if name == MARK else own).joinpath(name).read_bytes() for name in names}
+def packaged(package: str) -> dict[str, bytes]:
+    """The files of a package's page, by name, and those that all pages share."""
+    folders = [resources.files(each).joinpath("page") for each in (_PACKAGE, package)]
+    files = {file.name: file for folder in folders for file in folder.iterdir()}
+    return {name: files[name].read_bytes() for name in sorted(files) if media_type(name)}
+
+
+def media_type(name: str) -> str:
+    """Of a file of a page; "" where it is none."""
+    return _TYPES.get(PurePath(name).suffix, "")
 
 
 def version_of(files: dict[str, bytes]) -> str:
@@ -58,19 +71,31 @@ class Guarded:
         await (refusal or self._app)(scope, receive, with_headers)
 
 
-def served_app(
-    files: dict[str, bytes], types: dict[str, str], routes: list[Route], guard: Guard
-) -> Starlette:
-    """The application of a page with these addresses, and one for each of its files that the
-    browser keeps; `types`: the media types by name."""
+def served_app(files: dict[str, bytes], front: str, routes: list[Route], guard: Guard) -> Starlette:
+    """The application of a page: `front` at its address, those routes, and each of its files that
+    the browser keeps. A route that raises InputError is answered with 404, one that raises
+    OperationError with 503, and with its line."""
+
+    async def page(_: Request) -> Response:
+        return guard.let_in(Response(files[front], media_type=media_type(front)))
 
     async def asset(request: Request) -> Response:
         name = request.url.path.lstrip("/")
-        return kept(request, files[name], types[name])
+        return kept(request, files[name], media_type(name))
 
-    assets = [Route(f"/{name}", asset) for name in types if not name.endswith(".html")]
-    guarded = [Middleware(Guarded, guard=guard), Middleware(GZipMiddleware)]
-    return Starlette(routes=[*routes, *assets], middleware=guarded)
+    assets = [Route(f"/{name}", asset) for name in files if not name.endswith(".html")]
+    return Starlette(
+        routes=[Route("/", page), *routes, *assets],
+        middleware=[Middleware(Guarded, guard=guard), Middleware(GZipMiddleware)],
+        exception_handlers={InputError: _refused(404), OperationError: _refused(503)},
+    )
+
+
+def _refused(status: int) -> Callable[[Request, Exception], Awaitable[Response]]:
+    async def answer(_: Request, reason: Exception) -> Response:
+        return PlainTextResponse(str(reason), status)
+
+    return answer
 
 
 class EventStream(Response):

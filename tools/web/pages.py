@@ -10,10 +10,6 @@ import msgspec
 from trigpoint.base.errors import OperationError
 
 
-class TooManyPagesError(OperationError):
-    """No further page is served."""
-
-
 def event(message: object) -> bytes:
     return b"data: " + msgspec.json.encode(message) + b"\n\n"
 
@@ -78,10 +74,10 @@ class Pages:
 
     def open(self, first: bytes) -> Page:
         """A further page, which begins with a message. Called in the server's loop; raises
-        TooManyPagesError."""
+        OperationError where there are too many."""
         with self._lock:
             if len(self._pages) >= self._most or self._is_closed:
-                raise TooManyPagesError(f"{self._most} pages are open already; close one")
+                raise OperationError(f"{self._most} pages are open already; close one")
             page = Page(first, self._most_waiting)
             self._pages.add(page)
         return page

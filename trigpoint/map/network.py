@@ -10,6 +10,7 @@ import numpy as np
 from msgspec import Struct
 
 from trigpoint.base.clock import NANOSECONDS
+from trigpoint.base.disk import replace_file
 from trigpoint.base.errors import InputError, read_text, writing
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.camera import LensModel
@@ -254,16 +255,7 @@ def save_network(
     with writing(directory):
         directory.mkdir(parents=True, exist_ok=True)
         for name, data in files.items():
-            _replace(directory / name, data)
-
-
-def _replace(path: Path, data: bytes) -> None:
-    part = path.with_name(path.name + ".part")
-    try:
-        part.write_bytes(data)
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
+            replace_file(directory / name, data)
 
 
 _SEVEN = " ".join(["%.9f"] * 7)

@@ -31,7 +31,7 @@ from trigpoint.site.target import Target
 from trigpoint.testing.views import looking_at
 from trigpoint.tools.networks.truth import NetworkError, TruthFile, network_error
 from trigpoint.tools.shapes.text import target_text
-from trigpoint.tools.simulation.motion.way import chained_in_space, scattered_in_space
+from trigpoint.tools.simulation.motion.odometry import chained_in_space, scattered_in_space
 from trigpoint.tools.simulation.sight.seen_corners import SeenFace, seen_faces_each
 from trigpoint.tools.simulation.sight.targets import target_of
 
@@ -151,6 +151,14 @@ def lab_plan(target: str = "charuco", **changes: object) -> Plan:
     """Three cameras around one robot on a circle."""
     robot = RobotPlan(circle(), target_of(target))
     return replace(Plan(lab_cameras(), {"r1": robot}), **changes)  # pyright: ignore[reportArgumentType]
+
+
+def two_robots() -> dict[str, RobotPlan]:
+    """With targets that may be taken for each other's; their odometry has the same stamps."""
+    return {
+        "r1": RobotPlan(circle(), target_of("charuco")),
+        "r2": RobotPlan(circle(radius=0.9), target_of("checkerboard")),
+    }
 
 
 STANDS_S = 60.0

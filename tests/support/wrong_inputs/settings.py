@@ -1,10 +1,10 @@
 """Site files and lens files that are not what the program reads."""
 
-import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+from support.lens_dialects import of_kalibr, of_matlab, of_opencv
 
 from trigpoint.geometry import CameraModel
 from trigpoint.site.camera_info import read_camera_info, write_camera_info
@@ -32,42 +32,12 @@ late = 1.0
 """
 
 
-def _opencv(lens: CameraModel) -> str:
-    k, d = lens.matrix.reshape(-1).tolist(), list(lens.distortion)
-    matrix = "!!opencv-matrix\n   rows: {}\n   cols: {}\n   dt: d\n   data: {}\n"
-    return (
-        f"%YAML:1.0\n---\nimage_width: {lens.width}\nimage_height: {lens.height}\n"
-        f"camera_matrix: {matrix.format(3, 3, k)}"
-        f"distortion_coefficients: {matrix.format(1, len(d), d)}"
-    )
-
-
-def _kalibr(lens: CameraModel) -> str:
-    return (
-        "cam0:\n  camera_model: pinhole\n  distortion_model: radtan\n"
-        f"  distortion_coeffs: {list(lens.distortion[:4])}\n"
-        f"  intrinsics: {[lens.fx, lens.fy, lens.cx, lens.cy]}\n"
-        f"  resolution: [{lens.width}, {lens.height}]\n"
-    )
-
-
-def _matlab(lens: CameraModel) -> str:
-    k1, k2, p1, p2, *_ = lens.distortion
-    fields = {
-        "RadialDistortion": [k1, k2],
-        "TangentialDistortion": [p1, p2],
-        "ImageSize": [lens.height, lens.width],
-        "IntrinsicMatrix": lens.matrix.T.tolist(),
-    }
-    return json.dumps(fields)
-
-
 def _printed(lens: CameraModel) -> str:
     """What people copy from a terminal."""
     return f"mtx =\n{lens.matrix}\ndist =\n{np.array(lens.distortion)}\n"
 
 
-_DIALECTS: tuple[Callable[[CameraModel], str], ...] = (_opencv, _kalibr, _matlab)
+_DIALECTS = (of_opencv, of_kalibr, of_matlab)
 
 
 def foreign_lens(folder: Path, random: np.random.Generator) -> Case:
@@ -75,7 +45,7 @@ def foreign_lens(folder: Path, random: np.random.Generator) -> Case:
     words = calibrated(folder)
     path = folder / "c1.yaml"
     dialect = _DIALECTS[random.integers(len(_DIALECTS))]
-    path.write_text(dialect(read_camera_info(path)), encoding="utf-8")
+    path.write_text(dialect(read_camera_info(path), str), encoding="utf-8")
     return Case(words, (0,), (LOCATED,))
 
 

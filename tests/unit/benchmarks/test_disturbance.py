@@ -10,7 +10,7 @@ from benchmarks.study.in_memory import Simulated, simulated
 from trigpoint.contract.messages import Odometry, Sightings
 from trigpoint.site.config import OdometryNoise
 from trigpoint.tools.simulation.motion.actors import Lift, Move
-from trigpoint.tools.simulation.motion.way import scattered
+from trigpoint.tools.simulation.motion.odometry import scattered
 from trigpoint.tools.simulation.world import World, load_world
 
 

@@ -1,22 +1,19 @@
 """The estimator on a bus: what it takes, what it says, what it answers, and its second life."""
 
-import json
 import re
 import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
-from msgspec import Struct
 from support.builders import eventually, largest_file
 from support.fusion.drives import EPOCH_NS, Session
 from support.fusion.networks import assert_same_place
+from support.fusion.running_node import running
 
 from trigpoint.base.clock import ManualClock
 from trigpoint.base.errors import OperationError
-from trigpoint.bus.bus import Reply, Subscription
+from trigpoint.bus.bus import Subscription
 from trigpoint.contract import cdr, topics
 from trigpoint.contract.clock_doubt import CLOCK_OFF_BY
 from trigpoint.contract.correction import decode_mark
@@ -31,85 +28,13 @@ from trigpoint.contract.messages import (
     Sightings,
 )
 from trigpoint.contract.nudge import NUDGED, Nudge
-from trigpoint.contract.topics import Topic
 from trigpoint.fusion.checkpoint import Checkpoint, read_checkpoint
 from trigpoint.fusion.estimators.results import Results
-from trigpoint.fusion.inbox import INPUT_TOPICS
 from trigpoint.fusion.intake.standstills import MOST_ALIKE
 from trigpoint.fusion.live import coverage_thread
 from trigpoint.fusion.model.odometry import MOST_STANDING
-from trigpoint.fusion.node import FusionNode
 from trigpoint.fusion.pipeline import Inputs, Pipeline
 from trigpoint.map.network import decode_network, load_network
-from trigpoint.node.node import Node
-from trigpoint.testing.memory_bus import MemoryBroker, MemoryBus
-
-
-class Running(Struct):
-    """A fusion node on a bus of its own, and another session beside it. The clock stands where the
-    sessions begin, so that nothing is late."""
-
-    bus: MemoryBus
-    node: Node
-    fusion: FusionNode
-    clock: ManualClock
-    sent: int = 0
-
-    def feed(self, messages: tuple[tuple[str, Message], ...]) -> None:
-        """Publish, and wait until all of it was taken."""
-        publishers = {}
-        for name, message in messages:
-            topic = INPUT_TOPICS[type(message)]
-            key = topic.key("lab", name)
-            if key not in publishers:
-                publishers[key] = self.bus.publisher(topic, key)
-            publishers[key].put(cdr.encode(message))
-            self.sent += 1
-        assert eventually(lambda: self.taken() == self.sent, timeout_s=60.0)
-
-    def taken(self) -> int:
-        names = ("r1/odom", "c1", "c2", "c3")
-        paths = [f"robot/{n}" if "/" in n else f"camera/{n}/sightings" for n in names]
-        infos = [f"camera/{n}/camera_info" for n in ("c1", "c2", "c3")]
-        return sum(self.node.health.total(f"received lab/{p}") for p in (*paths, *infos))
-
-    def ask(self, path: str) -> dict:
-        """Its answer; on a busy machine a checkpoint is read for longer than a command waits."""
-        replies: list[Reply] = []
-
-        def is_answered() -> bool:
-            replies[:] = self.bus.query(topics.command_key("lab", path), timeout_s=60.0)
-            return "ask again" not in replies[0].error
-
-        assert eventually(is_answered, timeout_s=60.0)
-        [reply] = replies
-        assert not reply.error, reply.error
-        return json.loads(reply.payload)
-
-    def keep(self, checkpoint: Path) -> None:
-        """Wait until all that was taken is on the disk."""
-        self.ask("fusion/map")  # answered between two turns
-        size = checkpoint.stat().st_size
-        self.clock.advance(0.6)
-        assert eventually(lambda: checkpoint.stat().st_size > size)
-        self.ask("fusion/map")  # a file grows before all of what is being written is there
-
-    def listen(self, topic: Topic) -> Subscription:
-        return self.bus.subscribe(topic, topic.expression("lab"))
-
-
-@contextmanager
-def running(inputs: Inputs, out: Path) -> Iterator[Running]:
-    """Start a fusion node; at the end it is stopped but not finished, as by a kill."""
-    broker, clock = MemoryBroker(), ManualClock(EPOCH_NS)
-    with (
-        broker.session() as bus,
-        broker.session() as other,
-        Node(bus, site="lab", kind="fusion", name="fusion") as node,
-    ):
-        fusion = FusionNode(bus, node, inputs, out, clock)
-        fusion.start()
-        yield Running(other, node, fusion, clock)
 
 
 def received(subscription: Subscription) -> list[tuple[str, Message, bytes]]:

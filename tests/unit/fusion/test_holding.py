@@ -1,35 +1,28 @@
 """Fusion with a map that is held: from the beginning, or by an operator's command."""
 
 import json
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 from msgspec import Struct, structs
 from msgspec.structs import replace
 from support.builders import eventually
-from support.fusion.drives import EPOCH_NS, Session
+from support.fusion.drives import Session
 from support.fusion.fixed_maps import fixed_network
+from support.fusion.running_node import Running, running
 from support.fusion.solvers import SlowSolver
 
 from trigpoint.base.clock import ManualClock
 from trigpoint.base.errors import InputError
-from trigpoint.contract import cdr, topics
+from trigpoint.contract import topics
 from trigpoint.contract.correction import decode_mark
-from trigpoint.contract.messages import Message
 from trigpoint.fusion.checkpoint import CHECKPOINT, Checkpoint
 from trigpoint.fusion.estimators.results import Results
-from trigpoint.fusion.fixed.network import FixedNetwork
 from trigpoint.fusion.holding import wish_of
-from trigpoint.fusion.inbox import INPUT_TOPICS
 from trigpoint.fusion.inputs import load_fixed
 from trigpoint.fusion.live import coverage_thread
-from trigpoint.fusion.node import FusionNode
 from trigpoint.fusion.pipeline import Inputs
 from trigpoint.map.network import decode_network, load_network
-from trigpoint.node.node import Node
-from trigpoint.testing.memory_bus import MemoryBroker, MemoryBus
 
 
 class Solvers(Struct):
@@ -42,52 +35,9 @@ class Solvers(Struct):
         return SlowSolver(inputs)
 
 
-class Running(Struct):
-    """A fusion node, and another session beside it."""
-
-    bus: MemoryBus
-    node: Node
-    fusion: FusionNode
-    sent: int = 0
-
-    def feed(self, messages: tuple[tuple[str, Message], ...]) -> None:
-        """Publish, and wait until all of it was taken."""
-        for name, message in messages:
-            topic = INPUT_TOPICS[type(message)]
-            self.bus.publisher(topic, topic.key("lab", name)).put(cdr.encode(message))
-            self.sent += 1
-        keys = ("robot/r1/odom", *(f"camera/c{i}/sightings" for i in (1, 2, 3)))
-        assert eventually(
-            lambda: sum(self.node.health.total(f"received lab/{k}") for k in keys) == self.sent,
-            timeout_s=120.0,
-        )
-
-    def ask(self, path: str, request: object = None) -> dict:
-        payload = b"" if request is None else json.dumps(request).encode()
-        [reply] = self.bus.query(topics.command_key("lab", path), payload, timeout_s=60.0)
-        return {"error": reply.error} if reply.error else json.loads(reply.payload)
-
-    def is_fixed(self) -> bool:
-        return self.ask("fusion/learn").get("map") == "fixed"
-
-
-@contextmanager
-def running(
-    inputs: Inputs,
-    out: Path,
-    *,
-    solver: Callable[[Inputs], SlowSolver] | None = None,
-    fixed: FixedNetwork | None = None,
-) -> Iterator[Running]:
-    broker, clock = MemoryBroker(), ManualClock(EPOCH_NS)
-    with (
-        broker.session() as bus,
-        broker.session() as other,
-        Node(bus, site="lab", kind="fusion", name="fusion") as node,
-    ):
-        fusion = FusionNode(bus, node, inputs, out, clock, solver=solver, fixed=fixed)
-        fusion.start()
-        yield Running(other, node, fusion)
+def is_fixed(run: Running) -> bool:
+    reply = run.reply("fusion/learn")
+    return not reply.error and json.loads(reply.payload)["map"] == "fixed"
 
 
 def not_learning(inputs: Inputs) -> Inputs:
@@ -103,8 +53,8 @@ def test_fixed_map_corrects_without_a_solver_and_writes_nothing(
     solvers, fixed = Solvers(), fixed_network(charuco_results)
     inputs = not_learning(charuco.inputs)
     with running(inputs, tmp_path, solver=solvers, fixed=fixed) as run:
-        corrections = run.bus.subscribe(topics.CORRECTION, topics.CORRECTION.expression("lab"))
-        grids = run.bus.subscribe(topics.COVERAGE_GRID, topics.COVERAGE_GRID.expression("lab"))
+        corrections = run.listen(topics.CORRECTION)
+        grids = run.listen(topics.COVERAGE_GRID)
         run.feed(charuco.messages[:300])
         assert eventually(lambda: corrections.depth > 5)
         assert eventually(lambda: grids.depth > 0, timeout_s=60.0)
@@ -113,7 +63,7 @@ def test_fixed_map_corrects_without_a_solver_and_writes_nothing(
         assert sample is not None
         assert str(decode_mark(sample.attachment).map_id) == map_id
         assert run.ask("fusion/learn") == {"learn": False, "map": "fixed"}
-        assert "is not given up" in run.ask("fusion/reset")["error"]
+        assert "is not given up" in run.reply("fusion/reset").error
         answered = run.ask("fusion/network")
         assert run.node.health.report().values["map"] == "fixed"
     run.fusion.finish()
@@ -131,10 +81,10 @@ def test_operator_holds_a_map_and_learns_it_again(charuco: Session, tmp_path: Pa
         before = run.ask("fusion/map")
         assert run.ask("fusion/learn") == {"learn": True, "map": "learnt"}
         assert run.ask("fusion/learn", {"learn": False})["learn"] is False
-        assert eventually(run.is_fixed, timeout_s=120.0)
+        assert eventually(lambda: is_fixed(run), timeout_s=120.0)
         held = (tmp_path / "network.json").read_bytes()
         size = (tmp_path / CHECKPOINT).stat().st_size
-        corrections = run.bus.subscribe(topics.CORRECTION, topics.CORRECTION.expression("lab"))
+        corrections = run.listen(topics.CORRECTION)
         run.feed(charuco.messages[middle:-150])
         assert eventually(lambda: corrections.depth > 3)
         assert run.ask("fusion/map") == before
@@ -164,7 +114,7 @@ def test_checkpoint_of_a_learnt_map_is_held_where_the_site_learns_nothing(
     run.fusion.finish()
     solvers = Solvers()
     with running(not_learning(charuco.inputs), tmp_path, solver=solvers) as run:
-        assert eventually(run.is_fixed, timeout_s=120.0)
+        assert eventually(lambda: is_fixed(run), timeout_s=120.0)
         assert run.ask("fusion/map") == before
     run.fusion.finish()
     assert solvers.made == 1  # which works the map out of it, and ends
@@ -172,7 +122,7 @@ def test_checkpoint_of_a_learnt_map_is_held_where_the_site_learns_nothing(
 
 def test_nothing_is_held_before_a_camera_is_located(charuco: Session, tmp_path: Path) -> None:
     with running(charuco.inputs, tmp_path, solver=Solvers()) as run:
-        assert "no camera is located yet" in run.ask("fusion/learn", {"learn": False})["error"]
+        assert "no camera is located yet" in run.reply("fusion/learn", {"learn": False}).error
         assert run.ask("fusion/learn") == {"learn": True, "map": "learnt"}
 
 

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 from support.fusion.drives import (
-    RobotPlan,
     Session,
-    circle,
     lab_cameras,
     lab_plan,
     make_session,
+    two_robots,
 )
 from support.fusion.solvers import Listed
 
@@ -26,7 +25,6 @@ from trigpoint.fusion.live.solver_messages import (
 from trigpoint.fusion.model.readings import Readings
 from trigpoint.fusion.pipeline import Pipeline
 from trigpoint.fusion.replaying import Replay, replayed
-from trigpoint.tools.simulation.sight.targets import target_of
 
 MORE = "time_offset_sigma = 0.05\nline_delay = 3e-5"
 
@@ -39,13 +37,10 @@ def one() -> Session:
 
 @pytest.fixture(scope="module")
 def two() -> Session:
-    """Two robots with targets that may be taken for each other's, and so are told apart at the
-    end."""
-    robots = {
-        "r1": RobotPlan(circle(), target_of("charuco")),
-        "r2": RobotPlan(circle(radius=0.9), target_of("checkerboard")),
-    }
-    return make_session(lab_plan(cameras=lab_cameras(3, more=MORE), robots=robots, seconds=12.0))
+    """Two robots that are told apart at the end."""
+    return make_session(
+        lab_plan(cameras=lab_cameras(3, more=MORE), robots=two_robots(), seconds=12.0)
+    )
 
 
 def told(

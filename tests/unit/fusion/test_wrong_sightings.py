@@ -22,6 +22,15 @@ def disturbed(messages: Messages, change) -> Messages:
     )
 
 
+def assert_rejected(session: Session, change, spoiled: list[int], *, least: int) -> None:
+    """What `change` spoils, and counts in `spoiled`, is set aside, no more, and ruins nothing."""
+    session = changed(session, messages=disturbed(session.messages, change))
+    results = offline(session)
+    assert_honest(session, results)
+    assert len(spoiled) >= least
+    assert sum(c.rejected for c in results.network.cameras.values()) == len(spoiled)
+
+
 def test_displaced_pictures_are_rejected_and_counted(charuco: Session) -> None:
     moved: list[int] = []
 
@@ -33,11 +42,7 @@ def test_displaced_pictures_are_rejected_and_counted(charuco: Session) -> None:
         shift = np.float32(15) * np.array([np.cos(angle), np.sin(angle)], np.float32)
         return tuple(replace(face, pixels=face.pixels + shift) for face in faces)
 
-    session = changed(charuco, messages=disturbed(charuco.messages, displace))
-    results = offline(session)
-    assert_honest(session, results)
-    assert len(moved) >= 3
-    assert sum(c.rejected for c in results.network.cameras.values()) == len(moved)
+    assert_rejected(charuco, displace, moved, least=3)
 
 
 def test_a_displaced_face_costs_the_other_face_of_its_picture_nothing(charuco: Session) -> None:
@@ -50,11 +55,7 @@ def test_a_displaced_face_costs_the_other_face_of_its_picture_nothing(charuco: S
         first = replace(faces[0], pixels=faces[0].pixels + np.array([0, 15], np.float32))
         return (first, *faces[1:])
 
-    session = changed(charuco, messages=disturbed(charuco.messages, displace))
-    results = offline(session)
-    assert_honest(session, results)
-    assert len(moved) >= 3
-    assert sum(c.rejected for c in results.network.cameras.values()) == len(moved)
+    assert_rejected(charuco, displace, moved, least=3)
 
 
 def test_single_wild_corners_cost_no_picture(charuco: Session) -> None:
@@ -84,11 +85,7 @@ def test_face_that_is_named_wrongly_is_rejected(charuco: Session) -> None:
         wrong.append(1)
         return (replace(faces[0], face=(faces[0].face + 2) % 6),)
 
-    session = changed(charuco, messages=disturbed(charuco.messages, misname))
-    results = offline(session)
-    assert wrong
-    assert_honest(session, results)
-    assert sum(c.rejected for c in results.network.cameras.values()) == len(wrong)
+    assert_rejected(charuco, misname, wrong, least=1)
 
 
 def lifted(session: Session, at_s: float) -> Session:

@@ -1,12 +1,11 @@
 """The page's section on how well robots would be corrected where they drove."""
 
-import math
 from collections.abc import Iterator
 from html import escape
 
 import numpy as np
 
-from trigpoint.fusion.coverage.accuracy_map import WITHIN_M, AccuracyMap, class_name
+from trigpoint.fusion.coverage.accuracy_map import BY_FAILURE_M, WITHIN_M, AccuracyMap, class_name
 from trigpoint.geometry.rotation import Array
 from trigpoint.tools.pages.floor_plan import picture_on_map
 from trigpoint.tools.pages.frame import (
@@ -26,7 +25,6 @@ from .facts import CalibrationResults
 
 _COLOURS = ("#1a7f5a", "#63b179", "#d9c45b", "#e39a4b", "#c96f4a", "#a2313a")
 """Of the classes, and of where a robot is not corrected."""
-_BY_FAILURE_M = (0.05, math.inf)
 
 
 def corrected_section(results: CalibrationResults) -> str:
@@ -104,9 +102,9 @@ def _meanings(each: AccuracyMap) -> Iterator[tuple[str, str]]:
 def _losses(each: AccuracyMap) -> str:
     """What each camera's failure costs."""
     head = ["camera", "sees m²"]
-    head += [f"lost without it,<br>{class_name(w)}, m²" for w in _BY_FAILURE_M]
-    rows = []
-    for index, name in enumerate(each.names):
-        lost = [f"{each.lost_m2(index, w):.1f}" for w in _BY_FAILURE_M]
-        rows.append(row((escape(name), f"{each.seen_m2(index):.1f}", *lost)))
+    head += [f"lost without it,<br>{class_name(w)}, m²" for w in BY_FAILURE_M]
+    rows = (
+        row((escape(name), *(f"{area:.1f}" for area in areas)))
+        for name, areas in each.failures_m2()
+    )
     return table(head, rows)

@@ -8,7 +8,7 @@ from msgspec import Struct
 
 from trigpoint.base.errors import InputError
 from trigpoint.site.target import Face, Pattern
-from trigpoint.tools.shapes.upright import MARGIN_M
+from trigpoint.tools.shapes.bodies import MARGIN_M
 
 LEVELS = (96, 48, 32, 24, 16, 12, 8)  # texels a square; all divide the first, so edges stay exact
 BLACK, WHITE = 28, 222

@@ -9,9 +9,8 @@ from trigpoint.geometry.rotation import Array
 from trigpoint.site.config import OdometryNoise
 from trigpoint.site.target import Target
 
-from .odometry import relative
+from .odometry import Way, relative
 from .path import Drive
-from .way import Way
 
 
 class Move(Struct, frozen=True, eq=False):

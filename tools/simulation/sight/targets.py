@@ -6,8 +6,7 @@ from functools import cache
 import numpy as np
 
 from trigpoint.site.target import NOWHERE, Face, Pattern, Target
-from trigpoint.tools.shapes.bodies import VANE_HEIGHT, vane_faces
-from trigpoint.tools.shapes.upright import MARGIN_M
+from trigpoint.tools.shapes.bodies import MARGIN_M, VANE_HEIGHT, vane_faces
 
 
 @cache

@@ -32,19 +32,24 @@ def assert_there(camera: CameraRecord, map_from_camera: Pose) -> None:
     assert error @ np.linalg.solve(camera.covariance_matrix, error) < 6 * 5.0
 
 
+def assert_noticed(cameras: dict[str, CameraPlan], pushed_to: Pose, *, seconds: float) -> None:
+    """c1, pushed after a minute of a slow drive, is where it hangs then, and the others still."""
+    robots = {"r1": RobotPlan(circle(speed=0.08), target_of("charuco"))}
+    plan = Plan(cameras, robots, seconds=seconds, picture_rate=0.7)
+    session = with_moved(make_session(plan), "c1", pushed_to, 60.0)
+    network = pushed(session.inputs, session.messages).results().network
+    assert_there(network.cameras["c1"], pushed_to)
+    for name in ("c2", "c3"):
+        assert_there(network.cameras[name], cameras[name].map_from_camera)
+
+
 def test_camera_that_was_pushed_along_the_floor_is_noticed() -> None:
     """A robot in the plane can be thought to stand otherwise instead: for long that costs less."""
     cameras = lab_cameras(3)
     there = Pose.planar(0.15, 0.0, 0.0) @ cameras["c1"].map_from_camera
     turn = Pose.planar(0.0, 0.0, 0.03).rotation
     pushed_to = Pose(turn @ there.rotation, there.translation)
-    robots = {"r1": RobotPlan(circle(speed=0.08), target_of("charuco"))}
-    plan = Plan(cameras, robots, seconds=180.0, picture_rate=0.7)
-    session = with_moved(make_session(plan), "c1", pushed_to, 60.0)
-    network = pushed(session.inputs, session.messages).results().network
-    assert_there(network.cameras["c1"], pushed_to)
-    for name in ("c2", "c3"):
-        assert_there(network.cameras[name], cameras[name].map_from_camera)
+    assert_noticed(cameras, pushed_to, seconds=180.0)
 
 
 @pytest.mark.parametrize(("push_m", "more"), [(0.03, ""), (0.07, 'intrinsics = "estimate"')])
@@ -54,13 +59,7 @@ def test_small_push_shows_by_what_two_cameras_see_together(push_m: float, more: 
     cameras = lab_cameras(3, more=more)
     old = cameras["c1"].map_from_camera
     pushed_to = Pose(old.rotation, old.translation + np.array([push_m, 0.0, 0.0]))
-    robots = {"r1": RobotPlan(circle(speed=0.08), target_of("charuco"))}
-    plan = Plan(cameras, robots, seconds=120.0, picture_rate=0.7)
-    session = with_moved(make_session(plan), "c1", pushed_to, 60.0)
-    network = pushed(session.inputs, session.messages).results().network
-    assert_there(network.cameras["c1"], pushed_to)
-    for name in ("c2", "c3"):
-        assert_there(network.cameras[name], cameras[name].map_from_camera)
+    assert_noticed(cameras, pushed_to, seconds=120.0)
 
 
 def test_camera_below_the_floor_is_there_where_nothing_else_fits() -> None:

@@ -13,13 +13,13 @@ import pytest
 from support.builders import eventually
 from support.fusion.drives import EPOCH_NS, Session
 from support.fusion.networks import apart_sigmas, assert_same_places
+from support.fusion.running_node import Messages, running
 from support.fusion.solvers import SlowSolver, StuckSolver
 
 from trigpoint.base.clock import Clock, SystemClock
 from trigpoint.base.errors import OperationError
-from trigpoint.bus.bus import Publisher
 from trigpoint.contract import cdr
-from trigpoint.contract.messages import Message, Odometry
+from trigpoint.contract.messages import Odometry
 from trigpoint.fusion.checkpoint import PAST, Checkpoint
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.estimators.smoother.settled_past import Limits
@@ -33,12 +33,9 @@ from trigpoint.fusion.pipeline import Inputs
 from trigpoint.fusion.replaying import Replay
 from trigpoint.map.network import load_network
 from trigpoint.node.node import Node
-from trigpoint.testing.memory_bus import MemoryBroker
 
 # What is waited for comes by work alone, of which a busy machine does a twentieth of the usual.
 PATIENCE_S = 500.0
-
-Messages = tuple[tuple[str, Message], ...]
 
 
 class Feed(Protocol):
@@ -48,37 +45,23 @@ class Feed(Protocol):
 
 
 @contextmanager
-def running(
+def working(
     inputs: Inputs, out: Path, make: Callable[[Inputs], Solver], clock: Clock | None = None
 ) -> Iterator[tuple[FusionNode, Node, Feed]]:
     """A fusion node with a solver, and what publishes messages to it."""
-    broker = MemoryBroker()
-    with (
-        broker.session() as bus,
-        broker.session() as other,
-        Node(bus, site="lab", kind="fusion", name="fusion") as node,
-    ):
-        fusion = FusionNode(bus, node, inputs, out, clock or SystemClock(), solver=make)
-        fusion.start()
+    with running(inputs, out, clock=clock or SystemClock(), solver=make) as run:
 
         def feed(messages: Messages, *, is_awaited: bool = True) -> None:
-            publishers: dict[str, Publisher] = {}
-            before = node.health.total("received lab/robot/r1/odom")
-            for name, message in messages:
-                topic = INPUT_TOPICS[type(message)]
-                key = topic.key("lab", name)
-                if key not in publishers:
-                    publishers[key] = other.publisher(topic, key)
-                publishers[key].put(cdr.encode(message))
-            count = before + sum(isinstance(m, Odometry) for _, m in messages)
-            received = node.health.total
+            received = partial(run.node.health.total, "received lab/robot/r1/odom")
+            count = received() + sum(isinstance(m, Odometry) for _, m in messages)
+            run.put(messages)
             if is_awaited:
-                until(node, lambda: received("received lab/robot/r1/odom") == count)
+                until(run.node, lambda: received() == count)
 
         try:
-            yield fusion, node, feed
+            yield run.fusion, run.node, feed
         finally:
-            node.stop()
+            run.node.stop()
 
 
 def until(node: Node, holds: Callable[[], bool]) -> None:
@@ -99,7 +82,7 @@ def test_process_solves_and_a_stop_has_its_last_solution(
     def make(inputs: Inputs) -> Solver:
         return SolverProcess(charuco.inputs.data_set())
 
-    with running(charuco.inputs, tmp_path, make) as (fusion, node, feed):
+    with working(charuco.inputs, tmp_path, make) as (fusion, node, feed):
         feed(charuco.messages)
         until(node, lambda: node.health.report().values["cameras_located"] == "3")
     fusion.finish()
@@ -117,7 +100,7 @@ class LongQuarter(SystemClock):
 def test_what_came_before_a_stop_is_taken_in(charuco: Session, tmp_path: Path) -> None:
     odometry = tuple((n, m) for n, m in charuco.messages if isinstance(m, Odometry))[:200]
     inputs = charuco.inputs
-    with running(inputs, tmp_path, SlowSolver, LongQuarter()) as (_, node, feed):
+    with working(inputs, tmp_path, SlowSolver, LongQuarter()) as (_, node, feed):
         feed(odometry[:100])
         feed(odometry[100:], is_awaited=False)
         node.stop()
@@ -165,7 +148,7 @@ def test_stop_while_a_solution_is_under_way_keeps_what_was_known(
 ) -> None:
     """Also where the solver never had a moment without orders."""
     solver = StuckSolver(charuco.inputs)
-    with running(charuco.inputs, tmp_path, lambda _: solver) as (fusion, node, feed):
+    with working(charuco.inputs, tmp_path, lambda _: solver) as (fusion, node, feed):
         half = len(charuco.messages) // 2
         feed(charuco.messages[:half])
         until(node, lambda: solver.has_reported)
@@ -187,7 +170,7 @@ def test_what_comes_while_a_checkpoint_is_read_follows_it(
         checkpoint.write(topic.key("lab", name), cdr.encode(message))
     checkpoint.close()
     solver = SlowSolver(charuco.inputs)
-    with running(charuco.inputs, tmp_path, lambda _: solver) as (fusion, node, feed):
+    with working(charuco.inputs, tmp_path, lambda _: solver) as (fusion, node, feed):
         feed(charuco.messages[half:])
         until(node, lambda: fusion.is_resumed)
     fusion.finish()
@@ -195,7 +178,7 @@ def test_what_comes_while_a_checkpoint_is_read_follows_it(
 
 
 def test_killed_node_goes_on_from_its_last_solution(charuco: Session, tmp_path: Path) -> None:
-    with running(charuco.inputs, tmp_path, SlowSolver) as (killed, node, feed):
+    with working(charuco.inputs, tmp_path, SlowSolver) as (killed, node, feed):
         feed(charuco.messages)
         until(node, lambda: killed._pipeline.located_count == 3)
         until(node, lambda: killed._solution._kept is killed._pipeline.reports.solution)
@@ -203,7 +186,7 @@ def test_killed_node_goes_on_from_its_last_solution(charuco: Session, tmp_path: 
     def never(inputs: Inputs) -> Solver:
         return SlowSolver(inputs, calls=10**9)
 
-    with running(charuco.inputs, tmp_path, never) as (fusion, node, _):
+    with working(charuco.inputs, tmp_path, never) as (fusion, node, _):
         until(node, lambda: fusion.is_resumed and fusion._pipeline.located_count == 3)
         assert not fusion._pipeline.reports.has_results
 
@@ -226,7 +209,7 @@ def test_stop_while_a_checkpoint_is_read_leaves_everything_as_it_was(
 
     monkeypatch.setattr(FusionNode, "_take_again", stopped)
     monkeypatch.setattr("trigpoint.fusion.node._READ_AT_ONCE", len(charuco.messages) // 3)
-    with running(charuco.inputs, tmp_path, SlowSolver) as (fusion, node, _):
+    with working(charuco.inputs, tmp_path, SlowSolver) as (fusion, node, _):
         until(node, node.stopping.is_set)
     fusion.finish()
     assert not fusion.is_resumed
@@ -241,11 +224,11 @@ def test_a_fusion_that_forgot_its_past_goes_on_from_its_summary(
     monkeypatch.setattr("trigpoint.fusion.last_solution._LAST_SOLUTION_S", PATIENCE_S)
     frugal = partial(SlowSolver, limits=Limits(20))
     stop = next(i for i, m in enumerate(charuco.messages) if m[1].stamp_ns > EPOCH_NS + 20 * 10**9)
-    with running(charuco.inputs, tmp_path, frugal) as (fusion, node, feed):
+    with working(charuco.inputs, tmp_path, frugal) as (fusion, node, feed):
         feed(charuco.messages[:stop])
         until(node, (tmp_path / PAST).exists)
     fusion.finish()
-    with running(charuco.inputs, tmp_path, frugal) as (fusion, node, feed):
+    with working(charuco.inputs, tmp_path, frugal) as (fusion, node, feed):
         until(node, lambda: fusion.is_resumed)
         feed(charuco.messages[stop:])
     fusion.finish()

@@ -5,9 +5,9 @@ import json
 
 import pytest
 
+from trigpoint.base.errors import OperationError
 from trigpoint.tools.board.entities import apply, difference
 from trigpoint.tools.board.feed import MOST_PAGES, MOST_WAITING, Feed
-from trigpoint.tools.web.pages import TooManyPagesError
 
 
 def messages(data: bytes) -> list[dict]:
@@ -75,7 +75,7 @@ def test_no_more_pages_are_served_than_is_said() -> None:
     async def run() -> None:
         feed = Feed()
         pages = [feed.join({}) for _ in range(MOST_PAGES)]
-        with pytest.raises(TooManyPagesError, match="close one"):
+        with pytest.raises(OperationError, match="close one"):
             feed.join({})
         feed.leave(pages[0])
         feed.join({})

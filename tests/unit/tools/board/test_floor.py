@@ -1,5 +1,6 @@
-"""The plan under the page's map, laid by what is surveyed."""
+"""The plan under the page's map, laid by what is surveyed, and the map of corrections over it."""
 
+import io
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ from support.builders import site_text
 
 from trigpoint.geometry import Pose
 from trigpoint.site.config import parse_site
-from trigpoint.tools.board.floor import Floor
+from trigpoint.tools.board.floor import Floor, grid_picture
 
 S = 1_000_000_000
 COVARIANCE = 1e-6 * np.eye(6)[None]
@@ -51,3 +52,24 @@ def test_a_surveyed_camera_and_a_robot_on_its_mark_lay_the_plan(tmp_path: Path) 
         at = [1.0 + column * RESOLUTION_M, 2.0 + (ROWS - row) * RESOLUTION_M, 0.0]
         expected = FRAME_FROM_MAP.inverse() @ np.array(at)
         assert matrix @ [column, row, 1.0] == pytest.approx(expected[:2], abs=1e-3)
+
+
+def test_cells_are_coloured_and_lie_where_they_are() -> None:
+    values = np.full((30, 20), -1, dtype=np.int8)
+    values[4, 7], values[5, 7] = 0, 100  # row 4, column 7: up and right of the corner
+    found = grid_picture(0.5, Pose.planar(1.0, 2.0, np.pi / 2), values)
+    assert found is not None
+    pixels = np.asarray(Image.open(io.BytesIO(found.png)))
+    assert np.argwhere(pixels[..., 3]).tolist() == [[24, 7], [25, 7]]
+    best, worst = pixels[25, 7].astype(int), pixels[24, 7].astype(int)
+    assert best[1] > best[0]  # green
+    assert worst[0] > worst[1]  # red
+    a, b, c, d, e, f = found.fields["matrix"]  # pyright: ignore
+    x, y = a * 7.5 + c * 25.5 + e, b * 7.5 + d * 25.5 + f
+    # The cell's middle is 3.75 m along the rows and 2.25 m across, turned by a quarter.
+    assert (x, y) == pytest.approx((1.0 - 2.25, 2.0 + 3.75))
+    assert found.fields["size"] == [20, 30]
+
+
+def test_an_empty_grid_is_none() -> None:
+    assert grid_picture(0.1, Pose.planar(0, 0, 0), np.zeros((0, 5), np.int8)) is None

@@ -15,8 +15,8 @@ from trigpoint.site.config import load_site, parse_site
 from trigpoint.tools.doctor import command as doctor
 from trigpoint.tools.doctor import fixes as machine_fixes
 from trigpoint.tools.doctor.certificates import check_certificates
-from trigpoint.tools.doctor.clocks import check_time_service
 from trigpoint.tools.doctor.fixes import RULES, Fix, apply, needed
+from trigpoint.tools.doctor.machine import check_time_service
 
 # `chronyc -c tracking` of chrony 4.3, and `timedatectl timesync-status` of systemd 252.
 CHRONY = (

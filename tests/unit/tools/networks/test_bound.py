@@ -16,7 +16,7 @@ from trigpoint.recorder.session.recording import open_recording
 from trigpoint.tools.networks.bound import session_bound
 from trigpoint.tools.networks.cramer_rao import Bound
 from trigpoint.tools.sessions.inputs import session_inputs
-from trigpoint.tools.simulation.motion.way import poses_at
+from trigpoint.tools.simulation.motion.odometry import poses_at
 
 
 @pytest.fixture(scope="module")

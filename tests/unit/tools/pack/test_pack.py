@@ -17,7 +17,7 @@ from trigpoint.cli import run
 from trigpoint.contract.access import Kind
 from trigpoint.security.credentials import node_credentials
 from trigpoint.site.config import load_site, parse_site
-from trigpoint.tools.pack.install_script import FILES_AT
+from trigpoint.tools.pack.contents import FILES_AT
 from trigpoint.tools.pack.machine import site_that_connects, this_machine
 from trigpoint.tools.shapes.text import target_text
 from trigpoint.tools.simulation.sight.targets import target_of

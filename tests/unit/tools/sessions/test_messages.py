@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 from support.fusion.drives import (
-    RobotPlan,
     Session,
-    circle,
     lab_cameras,
     lab_plan,
     make_session,
+    two_robots,
     write_session,
 )
 
@@ -22,17 +21,12 @@ from trigpoint.geometry import Pose
 from trigpoint.recorder.session.recording import open_recording
 from trigpoint.tools.sessions import messages as recorded
 from trigpoint.tools.sessions.messages import SessionMessages, messages_of
-from trigpoint.tools.simulation.sight.targets import target_of
 
 
 @pytest.fixture(scope="module")
 def two() -> Session:
     """Two robots, whose odometry has the same stamps."""
-    robots = {
-        "r1": RobotPlan(circle(), target_of("charuco")),
-        "r2": RobotPlan(circle(radius=0.9), target_of("checkerboard")),
-    }
-    return make_session(lab_plan(cameras=lab_cameras(2), robots=robots, seconds=3.0))
+    return make_session(lab_plan(cameras=lab_cameras(2), robots=two_robots(), seconds=3.0))
 
 
 def flat(found: SessionMessages) -> list[tuple[str, str, int, bytes]]:

@@ -12,7 +12,7 @@ from support.commands import Cli
 from trigpoint.cli import run
 from trigpoint.map.network import load_network
 from trigpoint.site.target import Face, Pattern, Target, load_target
-from trigpoint.tools.shapes.upright import MARGIN_M
+from trigpoint.tools.shapes.bodies import MARGIN_M
 from trigpoint.tools.simulation import world as world_module
 from trigpoint.tools.simulation.drawing.rendering import CameraRenderer
 from trigpoint.tools.simulation.session import write_session
