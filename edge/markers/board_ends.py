@@ -17,6 +17,7 @@ from trigpoint.edge.registration.printed_pattern import squares_are_light
 from trigpoint.geometry.rotation import Array
 from trigpoint.site.target import Face
 
+from .distances import chebyshev
 from .markers import LEAST_CONTRAST
 
 # Where a line of squares is looked at: how deep from its edge, and between its squares' sides; in
@@ -37,13 +38,12 @@ def ends_early(grey: np.ndarray, face: Face, found: Measured) -> bool:
     middle = _middle(grey, face, found)
     if middle is None:
         return False
-    places, lines = _looked_at(face)
+    places, lines, reached = _looked_at(face)
+    near = reached[:, found.corners].any(axis=1)
+    places, lines = places[near], lines[near]
     pixels = found.fit.project(places.reshape(-1, 2)).reshape(places.shape)
     is_in = np.all((pixels > 1) & (pixels < np.array(grey.shape[::-1]) - 2), axis=(1, 2))
-    corners = face.corners[found.corners, :2]
-    apart = np.abs(places.mean(axis=1)[:, None] - corners).max(axis=-1).min(axis=1)
-    kept = is_in & (apart < _REACH * face.square)
-    values, lines = sampled(grey, pixels[kept]), lines[kept]
+    values, lines = sampled(grey, pixels[is_in]), lines[is_in]
     all_count, light, dark = (
         np.bincount(lines[which], minlength=8).reshape(4, 2)
         for which in (slice(None), values.min(axis=1) > middle, values.max(axis=1) < middle)
@@ -66,10 +66,11 @@ def _middle(grey: np.ndarray, face: Face, found: Measured) -> float | None:
 
 
 @cache
-def _looked_at(face: Face) -> tuple[Array, np.ndarray]:
+def _looked_at(face: Face) -> tuple[Array, np.ndarray, np.ndarray]:
     """Where the dark squares of the two lines on each side, and the markers of the outer one, are
-    looked at, (n, 6, 2) face places; and of which line each is, (n,): of side k the outer one is
-    2 k, the inner one 2 k + 1. Neither is written to."""
+    looked at, (n, 6, 2) face places; of which line each is, (n,): of side k the outer one is 2 k,
+    the inner one 2 k + 1; and whether it is looked at where a corner is seen, (n, corners). None of
+    these is written to."""
     places, lines = list[Array](), list[int]()
     marker = (face.marker or 0.0) / face.square
     inset = (1 - marker) / 2
@@ -90,4 +91,6 @@ def _looked_at(face: Face) -> tuple[Array, np.ndarray]:
                 spots = [across, beside] if is_column else [beside, across]
                 places.append((np.stack(spots, axis=-1).reshape(-1, 2) - 1) * face.square)
                 lines.append(2 * side + inner)
-    return np.array(places), np.array(lines)
+    middles = np.mean(places, axis=1)
+    reached = chebyshev(middles, face.corners) < _REACH * face.square
+    return np.array(places), np.array(lines), reached

@@ -18,6 +18,7 @@ from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.samples import median
 from trigpoint.site.target import Face, Pattern
 
+from .distances import chebyshev
 from .marker_groups import MarkerGroup
 from .markers import MarkerReader
 
@@ -83,8 +84,8 @@ class MarkedBoard(Struct, frozen=True, eq=False):
     def _beside(self, grey: np.ndarray, found: Measured) -> np.ndarray:
         """The markers (k,) that touch found corners and lie wholly in the picture."""
         corners = self.pattern.points[found.corners]
-        apart = np.abs(corners[:, None] - self.layout.mean(axis=1)[None])
-        touches = np.any(np.all(apart < 0.75 * self.face.square, axis=-1), axis=0)
+        apart = chebyshev(self.layout.mean(axis=1), corners)
+        touches = np.any(apart < 0.75 * self.face.square, axis=1)
         return np.flatnonzero(_are_inside(grey, self._placed(found.fit)) & touches)
 
     def _placed(self, fit: PlanarFit) -> Array:
