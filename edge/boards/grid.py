@@ -1,6 +1,8 @@
 """The grids that a picture's X corners form, found, cleaned and made whole by the compiled core
 (`native/src/boards`)."""
 
+from itertools import pairwise
+
 import numpy as np
 from msgspec import Struct
 
@@ -17,7 +19,7 @@ class _Curvature(Handle):
     name = "tp_curvature"
 
 
-GRID = In(np.float64, ("n", 5))  # as `Grid.rows`
+GRID = In(np.float64, ("n", 5))
 _SADDLES = Kernel("tp_saddles", _Curvature, In(np.uint8, ("h", "w")))
 _HALF_SADDLES = Kernel("tp_half_saddles", _Curvature, _Curvature)
 _GRIDS = Kernel("tp_grids", _Curvature, Out(np.float64, ("n", 5)), Out(np.float64, ("m",)))
@@ -30,43 +32,32 @@ _MOST_GROWN = 8 * MOST_CORNERS
 class Grid(Struct, frozen=True):
     """A connected grid of corners.
 
-    `places`: (n, 2) whole x and y, x × y pointing into the picture (never mirrored); `pixels`:
-    (n, 2); `is_dark`: (n,) whether the square towards (-x, -y) is dark.
+    `rows`: (n, 5), as the core has it: whole x and y, x × y pointing into the picture (never
+    mirrored); the pixel; whether the square towards (-x, -y) is dark.
     """
 
-    places: np.ndarray
-    pixels: Array
-    is_dark: np.ndarray
+    rows: Array
 
     def __len__(self) -> int:
-        return len(self.places)
-
-    @classmethod
-    def of(cls, rows: Array) -> "Grid":
-        """The grid of rows (n, 5) of the core."""
-        return cls(rows[:, :2].astype(int), rows[:, 2:4].copy(), rows[:, 4] != 0)
-
-    @property
-    def rows(self) -> Array:
-        """The same for the core, (n, 5)."""
-        return np.column_stack([self.places, self.pixels, self.is_dark]).astype(float)
+        return len(self.rows)
 
     def only(self, keep: np.ndarray) -> "Grid":
         """The grid of the corners where `keep` (n,) is true."""
-        return Grid(self.places[keep], self.pixels[keep], self.is_dark[keep])
+        return Grid(self.rows[keep])
 
     @property
     def extent(self) -> tuple[int, int]:
         """How many corners wide and high the grid is."""
         if len(self) == 0:
             return 0, 0
-        width, height = self.places.max(axis=0) - self.places.min(axis=0) + 1
+        places = self.rows[:, :2]
+        width, height = np.maximum.reduce(places) - np.minimum.reduce(places) + 1
         return int(width), int(height)
 
     def cleaned(self) -> "Grid":
         """The grid without corners that do not lie where their neighbours have them."""
         kept = np.empty((len(self), 5))
-        return Grid.of(kept[: _CLEANED(self.rows, kept)])
+        return Grid(kept[: _CLEANED(self.rows, kept)])
 
 
 class GridSearch:
@@ -89,10 +80,11 @@ class GridSearch:
     def grids(self, most: int | None = None) -> list[Grid]:
         """The grids of enough corners in the last picture, the largest first; all, or `most`."""
         count = _GRIDS(self._curvature, self._rows, self._sizes)
-        ends = np.cumsum(self._sizes[:count]).astype(int)[:most]
-        return [Grid.of(rows) for rows in np.split(self._rows, ends)[:-1]]
+        ends = np.cumsum(self._sizes[:count][:most]).astype(int).tolist()
+        return [Grid(self._rows[begin:end].copy()) for begin, end in pairwise([0, *ends])]
 
     def grown(self, grid: Grid, longest: int) -> Grid:
         """The grid with every corner that its own predict and the last picture shows, up to the
         pattern's edge; `longest`: corners along the longest side that is looked for."""
-        return Grid.of(self._rows[: _GROWN(self._curvature, grid.rows, longest, self._rows)])
+        count = _GROWN(self._curvature, grid.rows, longest, self._rows)
+        return Grid(self._rows[:count].copy())

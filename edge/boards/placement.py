@@ -40,18 +40,41 @@ class Placement(Struct, frozen=True, eq=False):
     rest: Grid
 
 
-def placed(
-    grid: Grid, looks: Sequence[Appearance], size: tuple[int, int], fit: PlanarFit | None = None
-) -> Placement | None:
+def placed(grid: Grid, looks: Sequence[Appearance], size: tuple[int, int]) -> Placement | None:
     """The best place of the best of some boards on a grid; None where it shows too little of them,
-    or leaves open where they lie.
+    or leaves open where they lie. `size`: of the picture."""
+    best = _best(grid.rows, looks, size)
+    if best is None:
+        return None
+    look, ids = best
+    on_board = ids >= 0
+    board = grid.rows[on_board, 2:4]
+    return Placement(look, ids[on_board].astype(int), board, grid.only(~on_board))
 
-    `size`: of the picture; `fit`: of the face of the only look, where it is known.
-    """
+
+def keeps_its_place(look: Appearance, found: Measured, size: tuple[int, int]) -> bool:
+    """Whether measured corners leave no doubt which they are: some that spoke for the place may
+    have turned out to be none. `size`: of the picture."""
+    face, ids = look.face, found.corners
+    y, x = np.divmod(ids, face.columns - 1)
+    rows = np.empty((len(ids), 5))
+    rows[:, 0], rows[:, 1], rows[:, 2:4] = x, y, found.pixels
+    rows[:, 4] = (x + y) % 2 == face.inverted
+    best = _best(rows, [look], size, found.fit)
+    # What a board looks like after half a turn, it may be.
+    either = ids, face.corner_count - 1 - ids
+    return best is not None and any(bool(np.all(best[1] == same)) for same in either)
+
+
+def _best(
+    rows: Array, looks: Sequence[Appearance], size: tuple[int, int], fit: PlanarFit | None = None
+) -> tuple[Appearance, Array] | None:
+    """Which board lies best on a grid (n, 5), and which of its corners each of that is, (n,), below
+    0 where none. `fit`: of the face of the only look, where it is known."""
     shapes = [(look.face.columns - 1, look.face.rows - 1, look.face.inverted) for look in looks]
-    ids, which = np.empty(len(grid)), np.empty(2)
+    ids, which = np.empty(len(rows)), np.empty(2)
     count = _PLACED(
-        grid.rows,
+        rows,
         np.array(shapes, float),
         *size,
         _NO_FIT if fit is None else fit.packed,
@@ -61,20 +84,4 @@ def placed(
         ids,
         which,
     )
-    if not count:
-        return None
-    on_board = ids >= 0
-    board = grid.pixels[on_board]
-    return Placement(looks[int(which[0])], ids[on_board].astype(int), board, grid.only(~on_board))
-
-
-def keeps_its_place(look: Appearance, found: Measured, size: tuple[int, int]) -> bool:
-    """Whether measured corners leave no doubt which they are: some that spoke for the place may
-    have turned out to be none. `size`: of the picture."""
-    face, ids = look.face, found.corners
-    places = np.stack([ids % (face.columns - 1), ids // (face.columns - 1)], axis=-1).astype(int)
-    is_dark = (places.sum(axis=1) % 2 == 0) ^ face.inverted
-    again = placed(Grid(places, found.pixels, is_dark), [look], size, found.fit)
-    # What a board looks like after half a turn, it may be.
-    either = ids, face.corner_count - 1 - ids
-    return again is not None and any(np.array_equal(again.ids, same) for same in either)
+    return (looks[int(which[0])], ids) if count else None

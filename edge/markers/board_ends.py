@@ -10,13 +10,14 @@ from itertools import product
 
 import numpy as np
 
-from trigpoint.edge.image.median import median
-from trigpoint.edge.image.sampling import sampled
 from trigpoint.edge.registration.measurement import Measured
+from trigpoint.edge.registration.planar_fit import FIT
 from trigpoint.edge.registration.printed_pattern import squares_are_light
 from trigpoint.geometry.rotation import Array
+from trigpoint.native.library import In, Kernel
 from trigpoint.site.target import Face
 
+from .distances import chebyshev
 from .markers import LEAST_CONTRAST
 
 # Where a line of squares is looked at: how deep from its edge, and between its squares' sides; in
@@ -24,52 +25,46 @@ from .markers import LEAST_CONTRAST
 # marker's border, in the marker's sides.
 _DEEP, _BETWEEN, _REACH = np.array([0.1, 0.2]), np.array([0.3, 0.5, 0.7]), 1.6
 _BORDER_DEEP = np.array([0.05, 0.1])
-# Squares of one line: the file's own may be lost to a glare one at a time.
-_LEAST_GONE = 2
 # Each of the four squares that meet at a corner is looked at between that and its marker.
 _BESIDE = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+_ENDS_EARLY = Kernel(
+    "tp_ends_early",
+    In(np.uint8, ("h", "w")),
+    In(np.float64, (FIT,)),
+    In(np.int64, ("k",)),
+    In(np.float64, ("corners", 8)),
+    float,
+    In(np.float64, ("n", 12)),
+    In(np.int64, ("n",)),
+    In(np.bool_, ("n", "corners")),
+)
 
 
 def ends_early(grey: np.ndarray, face: Face, found: Measured) -> bool:
     """Whether a board ends one line of squares before the file says: all along an outermost line
     its squares are light from the inner edge on, where they or their markers are dark, and the next
-    line is as printed up to there. What hides a line does not end so exactly at its edge."""
-    middle = _middle(grey, face, found)
-    if middle is None:
-        return False
-    places, lines = _looked_at(face)
-    pixels = found.fit.project(places.reshape(-1, 2)).reshape(places.shape)
-    is_in = np.all((pixels > 1) & (pixels < np.array(grey.shape[::-1]) - 2), axis=(1, 2))
-    corners = face.corners[found.corners, :2]
-    apart = np.abs(places.mean(axis=1)[:, None] - corners).max(axis=-1).min(axis=1)
-    kept = is_in & (apart < _REACH * face.square)
-    values, lines = sampled(grey, pixels[kept]), lines[kept]
-    all_count, light, dark = (
-        np.bincount(lines[which], minlength=8).reshape(4, 2)
-        for which in (slice(None), values.min(axis=1) > middle, values.max(axis=1) < middle)
+    line is as printed up to there. What hides a line does not end so exactly at its edge. No, where
+    what is dark and what is light around the corners are too alike."""
+    beside, *looked_at = _looked_at(face)
+    return (
+        _ENDS_EARLY(
+            np.ascontiguousarray(grey),
+            found.fit.packed,
+            found.corners,
+            beside,
+            LEAST_CONTRAST,
+            *looked_at,
+        )
+        == 1
     )
-    (outer, inner), gone, printed = all_count.T, light[:, 0], dark[:, 1]
-    is_early = (outer >= _LEAST_GONE) & (gone == outer) & (inner > 0) & (printed == inner)
-    return bool(is_early.any())
-
-
-def _middle(grey: np.ndarray, face: Face, found: Measured) -> float | None:
-    """The grey value between what is dark and what is light around the corners; None where that
-    is too alike."""
-    corners = found.corners
-    half = (face.square - (face.marker or 0.0)) / 4
-    spots = face.corners[corners, None, :2] + half * _BESIDE
-    pixels = found.fit.project(spots.reshape(-1, 2)).reshape(spots.shape)
-    values = np.sort(sampled(grey, pixels), axis=1)
-    dark, light = median(values[:, 1]), median(values[:, 2])
-    return (dark + light) / 2 if light - dark > LEAST_CONTRAST else None
 
 
 @cache
-def _looked_at(face: Face) -> tuple[Array, np.ndarray]:
-    """Where the dark squares of the two lines on each side, and the markers of the outer one, are
-    looked at, (n, 6, 2) face places; and of which line each is, (n,): of side k the outer one is
-    2 k, the inner one 2 k + 1. Neither is written to."""
+def _looked_at(face: Face) -> tuple[Array, Array, np.ndarray, np.ndarray]:
+    """For the core: what is beside each corner, (corners, 8), four face places; where the dark
+    squares of the two lines on each side, and the markers of the outer one, are looked at, (n, 12),
+    six; of which line each is, (n,): of side k the outer one is 2 k, the inner one 2 k + 1; and
+    whether it is looked at where a corner is seen, (n, corners)."""
     places, lines = list[Array](), list[int]()
     marker = (face.marker or 0.0) / face.square
     inset = (1 - marker) / 2
@@ -90,4 +85,8 @@ def _looked_at(face: Face) -> tuple[Array, np.ndarray]:
                 spots = [across, beside] if is_column else [beside, across]
                 places.append((np.stack(spots, axis=-1).reshape(-1, 2) - 1) * face.square)
                 lines.append(2 * side + inner)
-    return np.array(places), np.array(lines)
+    corners = face.corners[:, :2]
+    beside = corners[:, None] + (face.square - (face.marker or 0.0)) / 4 * _BESIDE
+    reached = chebyshev(np.mean(places, axis=1), corners) < _REACH * face.square
+    flat = np.array(places).reshape(-1, 12)
+    return beside.reshape(-1, 8), flat, np.array(lines), reached

@@ -16,6 +16,7 @@ from trigpoint.geometry.rotation import Array
 from trigpoint.site.target import Pattern
 
 from .board_ends import ends_early
+from .distances import chebyshev
 from .marked_board import MarkedBoard
 from .markers import MarkerReader
 
@@ -55,11 +56,8 @@ def contradictions(
     ends; `reader`: of every marker of its dictionary."""
     if board.face.pattern is Pattern.CHARUCO and ends_early(grey, board.face, found):
         return Contradictions(0, 1, 0)
-    cells, expected, within = _cells(board)
-    corners = board.pattern.points[found.corners]
-    middles = cells.mean(axis=1)
-    apart = np.abs(middles[:, None] - corners[None]).max(axis=-1).min(axis=1)
-    near = np.flatnonzero(apart < _REACH_SQUARES * board.face.square)
+    cells, expected, within, reached = _cells(board)
+    near = np.flatnonzero(reached[:, found.corners].any(axis=1))
     placed = found.fit.project(cells[near].reshape(-1, 2)).reshape(-1, 4, 2)
     which, there = _at(placed, quads)
     if len(which) == 0:
@@ -83,10 +81,11 @@ def contradictions(
 
 
 @lru_cache(64)
-def _cells(board: MarkedBoard) -> tuple[Array, np.ndarray, np.ndarray]:
+def _cells(board: MarkedBoard) -> tuple[Array, np.ndarray, np.ndarray, np.ndarray]:
     """Where markers could be on a board's grid and one place beyond, (n, 4, 2), clockwise from
-    their top left; the number of the file's marker there, -1 where it has none; and whether that
-    is on the board. None of these is written to."""
+    their top left; the number of the file's marker there, -1 where it has none; whether that is on
+    the board; and whether it is compared where a corner is seen, (n, corners). None of these is
+    written to."""
     face, layout = board.face, board.layout
     steps = np.rint((layout.mean(axis=1) - layout[0].mean(axis=0)) / face.square).astype(int)
     # Around all squares of a ChArUco board, of which every other one has a marker.
@@ -100,14 +99,15 @@ def _cells(board: MarkedBoard) -> tuple[Array, np.ndarray, np.ndarray]:
     middle = layout[0].mean(axis=0) + places * face.square
     low, high = face.outline.min(axis=0)[:2], face.outline.max(axis=0)[:2]
     within = np.all((middle > low) & (middle < high), axis=1)
-    return layout[0] + (places * face.square)[:, None], expected, within
+    reached = chebyshev(middle, board.pattern.points) < _REACH_SQUARES * face.square
+    return layout[0] + (places * face.square)[:, None], expected, within, reached
 
 
 def _at(placed: Array, quads: Array) -> tuple[np.ndarray, Array]:
     """The quadrilaterals that lie where markers `placed` (n, 4, 2) would: of which place each,
     (k,), and its corners (k, 4, 2) from the same one on."""
     sides = np.linalg.norm(placed[:, _TURNS[3]] - placed, axis=-1).mean(axis=1)
-    apart = np.abs(quads.mean(axis=1)[None] - placed.mean(axis=1)[:, None]).max(axis=-1)
+    apart = chebyshev(placed.mean(axis=1), quads.mean(axis=1))
     which, index = np.nonzero(apart < _NEAR * sides[:, None])
     turned = quads[index][:, _TURNS]
     off = np.linalg.norm(turned - placed[which][:, None], axis=-1).mean(axis=-1)

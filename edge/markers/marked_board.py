@@ -18,6 +18,7 @@ from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.samples import median
 from trigpoint.site.target import Face, Pattern
 
+from .distances import chebyshev
 from .marker_groups import MarkerGroup
 from .markers import MarkerReader
 
@@ -74,18 +75,21 @@ class MarkedBoard(Struct, frozen=True, eq=False):
             found = measured(grey, self.pattern, found.fit, is_rough=True)
         if found is None or len(found.corners) < self._least_corners(len(group.numbers)):
             return None
-        own = self._agreement(grey, found.fit, group.numbers, reader).mean()
+        quads = self._placed(found.fit)
+        own = reader.agreement(grey, self.face, quads[group.numbers], group.numbers).mean()
         if own < max(LEAST_OWN_AGREEMENT, _LEAST_OF_FEW.get(len(group.numbers), 0.0)):
             return None
-        beside = self._beside(grey, found)
-        return found if self.agrees(grey, found.fit, beside, reader) else None
+        beside = np.flatnonzero(_are_inside(grey, quads) & self._touch(found))
+        if len(beside) == 0:
+            return found
+        least = _LEAST_OF_FEW.get(len(beside), LEAST_AGREEMENT)
+        scores = reader.agreement(grey, self.face, quads[beside], beside)
+        return found if scores.mean() >= least else None
 
-    def _beside(self, grey: np.ndarray, found: Measured) -> np.ndarray:
-        """The markers (k,) that touch found corners and lie wholly in the picture."""
-        corners = self.pattern.points[found.corners]
-        apart = np.abs(corners[:, None] - self.layout.mean(axis=1)[None])
-        touches = np.any(np.all(apart < 0.75 * self.face.square, axis=-1), axis=0)
-        return np.flatnonzero(_are_inside(grey, self._placed(found.fit)) & touches)
+    def _touch(self, found: Measured) -> np.ndarray:
+        """Which of the markers touch found corners, (m,)."""
+        apart = chebyshev(self.layout.mean(axis=1), self.pattern.points[found.corners])
+        return np.any(apart < 0.75 * self.face.square, axis=1)
 
     def _placed(self, fit: PlanarFit) -> Array:
         """The markers' corners in the picture, (m, 4, 2)."""
@@ -129,22 +133,6 @@ class MarkedBoard(Struct, frozen=True, eq=False):
         scores = reader.agreement(grey, self.face, quads[numbers], numbers)
         least = _LEAST_OF_FEW.get(len(numbers), LEAST_AGREEMENT)
         return found if median(scores) >= least else None
-
-    def agrees(
-        self, grey: np.ndarray, fit: PlanarFit, numbers: np.ndarray, reader: MarkerReader
-    ) -> bool:
-        """Whether the markers `numbers`, where a fit puts them, are the board's; none are."""
-        if len(numbers) == 0:
-            return True
-        least = _LEAST_OF_FEW.get(len(numbers), LEAST_AGREEMENT)
-        return bool(self._agreement(grey, fit, numbers, reader).mean() >= least)
-
-    def _agreement(
-        self, grey: np.ndarray, fit: PlanarFit, numbers: np.ndarray, reader: MarkerReader
-    ) -> Array:
-        """How well each of the markers `numbers` matches where a fit puts it, (n,)."""
-        quads = fit.project(self.layout[numbers].reshape(-1, 2)).reshape(-1, 4, 2)
-        return reader.agreement(grey, self.face, quads, numbers)
 
 
 def _are_inside(grey: np.ndarray, quads: Array) -> np.ndarray:

@@ -114,8 +114,8 @@ class MarkerReader:
 
     def agreement(self, grey: np.ndarray, face: Face, quads: Array, numbers: np.ndarray) -> Array:
         """Score (n,) of quads as the upright markers `numbers` of a face."""
-        rows = [self._row[face.first_marker + int(number)] for number in numbers]
-        return self.scores(grey, quads)[np.arange(len(quads)), rows, 0]
+        upright = self._templates[:, 4 * (self.rows(face).start + numbers)]
+        return np.einsum("nc,cn->n", _cells(grey, quads, self._centres), upright)
 
 
 def readers_for(faces: Sequence[Face]) -> dict[tuple[str, int], MarkerReader]:

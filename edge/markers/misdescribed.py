@@ -22,6 +22,7 @@ from trigpoint.edge.registration.dictionaries import predefined_dictionary
 from trigpoint.geometry.rotation import Array
 from trigpoint.site.target import Face, Pattern
 
+from .distances import chebyshev
 from .marker_groups import LEAST_MEMBER, MarkerGroup, group_markers
 from .markers import MarkerReader, Markers, reader_key, whole_reader
 from .other_boards import Other, Reading, readings
@@ -64,7 +65,7 @@ class MisdescribedBoards:
     def __init__(self, looks: Sequence[Appearance], faces: Sequence[Face]) -> None:
         """`faces`: all of the site, of which none is another board."""
         self._looks, self._faces = looks, faces
-        self._waiting = list(readings(looks))
+        self._waiting = list(readings(tuple(looks)))
         self._firsts = sorted({face.first_marker for face in faces})
         self._ids = max([_MOST_IDS, *(face.first_marker + face.marker_count for face in faces)])
         self._finders = QuadFinder(parts_touching=True), QuadFinder()
@@ -270,7 +271,7 @@ def _quads(grey: np.ndarray, finders: Sequence[QuadFinder]) -> Array:
     for finder in finders[1:]:
         more = finder.find(grey)
         sides = np.linalg.norm(more[:, 1] - more[:, 0], axis=-1)
-        apart = np.abs(more.mean(axis=1)[:, None] - quads.mean(axis=1)[None]).max(axis=-1)
+        apart = chebyshev(more.mean(axis=1), quads.mean(axis=1))
         is_new = np.all(apart > _SAME * sides[:, None], axis=1)
         quads = np.concatenate([quads, more[is_new]])
     return quads

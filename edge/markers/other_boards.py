@@ -1,7 +1,8 @@
 """Boards that people may mean when they describe another one, and what they should write."""
 
-from collections.abc import Container, Iterable, Iterator, Sequence
-from itertools import product, zip_longest
+from collections.abc import Container, Iterable, Iterator
+from functools import lru_cache
+from itertools import chain, product, zip_longest
 
 import cv2
 from msgspec import Struct
@@ -57,11 +58,13 @@ class Reading(Struct, frozen=True):
     others: tuple[Other, ...]
 
 
-def readings(looks: Sequence[Appearance]) -> Iterator[Reading]:
-    """The likeliest of every look first; only boards that can be, and that no target has."""
+@lru_cache(16)
+def readings(looks: tuple[Appearance, ...]) -> tuple[Reading, ...]:
+    """The likeliest of every look first; only boards that can be, and that no target has. The same
+    for every camera of an agent."""
     known = {look.face.appearance for look in looks}
-    for alike in zip_longest(*(_of(look, known) for look in looks)):
-        yield from filter(None, alike)
+    alike = zip_longest(*(_of(look, known) for look in looks))
+    return tuple(filter(None, chain.from_iterable(alike)))
 
 
 def _of(look: Appearance, known: Container[object]) -> Iterator[Reading]:

@@ -1,5 +1,7 @@
 """OpenCV's dictionaries of markers, by name."""
 
+from functools import cache
+
 import cv2
 
 from trigpoint.base.errors import TargetError
@@ -7,8 +9,10 @@ from trigpoint.base.words import nearest
 from trigpoint.site.target import Face
 
 
+@cache
 def predefined_dictionary(name: str) -> cv2.aruco.Dictionary:
-    """One of OpenCV's marker dictionaries; raise TargetError that lists them."""
+    """One of OpenCV's marker dictionaries, shared and never written to; raise TargetError that
+    lists them."""
     known = [known for known in dir(cv2.aruco) if known.startswith("DICT_")]
     if name not in known:
         raise TargetError(

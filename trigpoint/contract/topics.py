@@ -205,6 +205,7 @@ def command_key(site: str, path: str) -> str:
     return f"{site}/{path}"
 
 
+@lru_cache(4096)
 def key_matches(expression: str, key: str) -> bool:
     """Whether a key belongs to a key expression: `*` is one chunk, `**` any number of them."""
     return _chunks_match(expression.split("/"), key.split("/"))

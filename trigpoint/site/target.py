@@ -4,6 +4,7 @@ A face's frame has x along a row of corners, y from row to row, z into the board
 corner 0; corner numbers and the half turn are defined in the contract.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from functools import cache
@@ -69,7 +70,7 @@ class Face(Struct, frozen=True, forbid_unknown_fields=True):
 
     def __post_init__(self) -> None:
         self._check_lengths()
-        length = float(np.linalg.norm(self.quaternion))
+        length = math.hypot(*self.quaternion)
         if abs(length - 1) > 1e-3:
             raise ValueError(f"the quaternion's length is {length:.4f}; it must be 1")
         if self.pattern is Pattern.CHECKERBOARD:
@@ -89,7 +90,7 @@ class Face(Struct, frozen=True, forbid_unknown_fields=True):
             raise ValueError(
                 f"squares of {self.square:g} m are too small to be seen; lengths are in metres"
             )
-        away = float(np.linalg.norm(self.translation))
+        away = math.hypot(*self.translation)
         if away > _FARTHEST_M:
             written = _in_metres({"translation": self.translation})
             raise ValueError(

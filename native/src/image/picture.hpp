@@ -37,4 +37,8 @@ struct Picture {
 
 using Grey = Picture<std::uint8_t>;
 
+// The values of a picture of two rows and columns or more at many places (x, y), as `Picture::at`;
+// all of these are numbers.
+void sample(const Grey& grey, const float* x, const float* y, int count, float* values);
+
 }  // namespace trigpoint

@@ -42,25 +42,29 @@ TRIGPOINT_KERNEL(tp_cells) {
     const auto quads = arguments[1].array.rows<8>();
     const auto places = arguments[2].array.rows<2>();
     const double least = arguments[3].number;
+    const auto count = static_cast<std::size_t>(places.rows());
+    std::vector<float> xs(count), ys(count), values(count);
     std::int64_t seen = 0;
     for (Eigen::Index i = 0; i < quads.rows(); ++i) {
         Eigen::Map<Eigen::VectorXd> cells(arguments[4].array.as<double>() + i * places.rows(),
                                           places.rows());
         cells.setZero();
-        if (grey.height == 0 || grey.width == 0 || places.rows() == 0) continue;
+        if (grey.height < 2 || grey.width < 2 || places.rows() == 0) continue;
         Quad quad;
         for (int k = 0; k < 4; ++k) quad[k] = quads.row(i).segment<2>(2 * k);
         const FromSquare pixel_of(quad);
         bool is_known = true;
         for (Eigen::Index k = 0; k < places.rows() && is_known; ++k) {
-            const Eigen::Vector2d pixel = pixel_of(places.row(k).transpose());
+            const Eigen::Vector2f pixel = pixel_of(places.row(k).transpose()).cast<float>();
             is_known = pixel.allFinite();
-            if (is_known)
-                cells(k) = grey.at(static_cast<float>(pixel.x()), static_cast<float>(pixel.y()));
+            xs[k] = pixel.x(), ys[k] = pixel.y();
         }
+        if (!is_known) continue;
+        sample(grey, xs.data(), ys.data(), static_cast<int>(places.rows()), values.data());
+        for (Eigen::Index k = 0; k < places.rows(); ++k) cells(k) = values[k];
         cells.array() -= cells.mean();
         const double length = cells.norm();
-        if (is_known && length > least * std::sqrt(static_cast<double>(places.rows()))) {
+        if (length > least * std::sqrt(static_cast<double>(places.rows()))) {
             cells /= length;
             ++seen;
         } else {

@@ -27,7 +27,8 @@ using Corners = Eigen::Matrix<double, 4, 2, Eigen::RowMajor>;
 // What quadrilaterals could be as markers of one face, the likeliest first.
 struct Markers {
     std::vector<std::int64_t> numbers;
-    std::vector<Corners> corners, printed;  // pixels; on the face
+    std::vector<Corners> corners, printed;    // pixels; on the face
+    std::vector<Eigen::RowVector2d> middles;  // of those on the face
     std::vector<double> scores;
 
     std::size_t count() const { return numbers.size(); }
@@ -74,12 +75,11 @@ public:
 
 private:
     bool is_beside(std::size_t marker, const std::vector<std::size_t>& members) const {
-        const Eigen::RowVector2d middle = markers_.printed[marker].colwise().mean();
+        const Eigen::RowVector2d& middle = markers_.middles[marker];
         bool is_near = false;
         for (const std::size_t member : members) {
             if (markers_.numbers[member] == markers_.numbers[marker]) return false;
-            is_near =
-                is_near || (markers_.printed[member].colwise().mean() - middle).norm() < reach_;
+            is_near = is_near || (markers_.middles[member] - middle).norm() < reach_;
         }
         return is_near;
     }
@@ -126,6 +126,7 @@ TRIGPOINT_KERNEL(tp_marker_groups) {
         markers.numbers.push_back(number);
         markers.corners.push_back(corners_in(arguments[1].array, i));
         markers.printed.push_back(corners_in(layout, number));
+        markers.middles.push_back(markers.printed.back().colwise().mean());
         markers.scores.push_back(scores(i));
     }
     if (layout.shape[0] == 0) return 0;

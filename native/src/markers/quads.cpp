@@ -2,7 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
-#include <numeric>
+#include <cstring>
 
 namespace trigpoint {
 namespace {
@@ -77,6 +77,37 @@ void halve(const std::uint8_t* __restrict upper, const std::uint8_t* __restrict 
             (upper[2 * x] + upper[2 * x + 1] + lower[2 * x] + lower[2 * x + 1] + 2) / 4);
 }
 
+// How far points lie from one of them, squared, or from the line that leads from it along another,
+// times the length of that: `off`, and the most of that.
+template <bool IS_LINE>
+inline __attribute__((always_inline)) std::int32_t measure(
+    const std::int32_t* __restrict xs, const std::int32_t* __restrict ys, std::size_t count,
+    std::int32_t from_x, std::int32_t from_y, std::int32_t along_x, std::int32_t along_y,
+    std::int32_t* __restrict off) {
+    std::int32_t most = 0;
+    for (std::size_t i = 0; i < count; ++i) {
+        const std::int32_t x = xs[i] - from_x, y = ys[i] - from_y;
+        const std::int32_t across = along_x * y - along_y * x;
+        const std::int32_t value = IS_LINE ? (across < 0 ? -across : across) : x * x + y * y;
+        off[i] = value;
+        most = value > most ? value : most;
+    }
+    return most;
+}
+
+TRIGPOINT_WIDE
+std::int32_t off_point(const std::int32_t* xs, const std::int32_t* ys, std::size_t count,
+                       std::int32_t x, std::int32_t y, std::int32_t* off) {
+    return measure<false>(xs, ys, count, x, y, 0, 0, off);
+}
+
+TRIGPOINT_WIDE
+std::int32_t off_line(const std::int32_t* xs, const std::int32_t* ys, std::size_t count,
+                      std::int32_t x, std::int32_t y, std::int32_t along_x, std::int32_t along_y,
+                      std::int32_t* off) {
+    return measure<true>(xs, ys, count, x, y, along_x, along_y, off);
+}
+
 double cross(const Eigen::Vector2d& a, const Eigen::Vector2d& b) {
     return a.x() * b.y() - a.y() * b.x();
 }
@@ -145,67 +176,71 @@ void QuadSearch::threshold(const Grey& grey, int window) {
     }
 }
 
-// The dark runs of all rows; whether they are few enough.
+std::int32_t QuadSearch::root(std::int32_t run) {
+    while (runs_[run].piece != run) run = runs_[run].piece = runs_[runs_[run].piece].piece;
+    return run;
+}
+
+// The dark runs of all rows, each with one of its piece that came before, the first with itself:
+// those that touch, also with their corners; whether they are few enough.
 bool QuadSearch::find_runs() {
     runs_.clear();
+    changes_.resize(width_ + 2);
+    std::size_t above = 0;
     for (std::int64_t y = 0; y < height_; ++y) {
-        const std::uint8_t *row = dark(y), *end = row + width_;
-        for (const std::uint8_t* at = row; at != end;) {
-            at = static_cast<const std::uint8_t*>(std::memchr(at, 1, end - at));
-            if (at == nullptr) break;
-            const auto* after = at + 1;
-            while (*after != 0) ++after;  // most are short
-            if (runs_.size() == MOST_RUNS) return false;
-            runs_.push_back({static_cast<std::int32_t>(at - row),
-                             static_cast<std::int32_t>(after - row), static_cast<std::int32_t>(y),
-                             -1});
-            at = after;
+        // Where a run begins, where it ends, and so on; eight pixels at once, the first in the
+        // lowest byte.
+        std::int32_t* end = changes_.data();
+        for (std::int64_t x = 0; x <= width_; x += 8) {
+            std::uint64_t here, before;
+            std::memcpy(&here, dark(y) + x, 8), std::memcpy(&before, dark(y) + x - 1, 8);
+            for (std::uint64_t left = here ^ before; left != 0; left &= left - 1) {
+                const std::int64_t at = x + __builtin_ctzll(left) / 8;
+                if (at > width_) break;
+                *end++ = static_cast<std::int32_t>(at);
+            }
         }
+        const std::size_t first = runs_.size();
+        std::size_t near = above;
+        for (const std::int32_t* change = changes_.data(); change != end; change += 2) {
+            if (runs_.size() == MOST_RUNS) return false;
+            const auto own = static_cast<std::int32_t>(runs_.size());
+            Run run{change[0], change[1], static_cast<std::int32_t>(y), own};
+            while (near < first && runs_[near].end < run.begin) ++near;
+            for (std::size_t j = near; j < first && runs_[j].begin <= run.end; ++j) {
+                const std::int32_t other = root(static_cast<std::int32_t>(j));
+                if (run.piece != own)
+                    runs_[std::max(run.piece, other)].piece = std::min(run.piece, other);
+                run.piece = std::min(run.piece, other);
+            }
+            runs_.push_back(run);
+        }
+        above = first;
     }
     return true;
 }
 
-std::int32_t QuadSearch::root(std::int32_t run) {
-    while (parents_[run] != run) run = parents_[run] = parents_[parents_[run]];
-    return run;
-}
-
-// The pieces that runs form which touch, also with their corners.
+// The pieces that runs form.
 void QuadSearch::join_runs() {
-    parents_.resize(runs_.size());
-    std::iota(parents_.begin(), parents_.end(), 0);
-    std::size_t above = 0;
-    for (std::size_t i = 0; i < runs_.size(); ++i) {
-        const Run& run = runs_[i];
-        while (above < i && (runs_[above].row < run.row - 1 ||
-                             (runs_[above].row == run.row - 1 && runs_[above].end < run.begin)))
-            ++above;
-        for (std::size_t j = above; j < i; ++j) {
-            if (runs_[j].row != run.row - 1 || runs_[j].begin > run.end) break;
-            const std::int32_t first = root(static_cast<std::int32_t>(j)),
-                               second = root(static_cast<std::int32_t>(i));
-            parents_[std::max(first, second)] = std::min(first, second);
-        }
-    }
     pieces_.clear();
     for (std::size_t i = 0; i < runs_.size(); ++i) {
         Run& run = runs_[i];
-        const std::int32_t first = root(static_cast<std::int32_t>(i));
-        if (first == static_cast<std::int32_t>(i)) {
+        if (run.piece == static_cast<std::int32_t>(i)) {
             run.piece = static_cast<std::int32_t>(pieces_.size());
-            pieces_.push_back({{run.begin, run.row}, run.begin, run.row, run.end - 1, run.row, 0});
+            pieces_.push_back({{run.begin, run.row}, run.begin, run.row, run.end - 1, run.row});
+        } else {
+            run.piece = runs_[run.piece].piece;
         }
-        run.piece = runs_[first].piece;
         Piece& piece = pieces_[run.piece];
         piece.left = std::min(piece.left, run.begin);
         piece.right = std::max(piece.right, run.end - 1);
         piece.bottom = run.row;
-        piece.area += run.end - run.begin;
     }
 }
 
 bool QuadSearch::trace(const Piece& piece, std::size_t most) {
-    outline_.clear();
+    outline_.resize(most + 1);
+    std::size_t count = 0;
     Point at = piece.first;
     const std::ptrdiff_t down = width_ + 2;
     std::array<std::ptrdiff_t, 8> steps;
@@ -213,21 +248,21 @@ bool QuadSearch::trace(const Piece& piece, std::size_t most) {
     const std::uint8_t* here = dark(at.y) + at.x;
     int from = 4;  // what is to the left of the first pixel of a first row is light
     int first_step = -1;
-    while (outline_.size() < most) {
-        int step = -1;
-        for (int k = 1; k <= 8; ++k) {
-            const int direction = (from + k) % 8;
-            if (here[steps[direction]] != 0) {
-                step = direction;
-                break;
-            }
-        }
-        if (step < 0) return false;  // one pixel alone
+    while (count < most) {
+        unsigned about = 0;
+        for (int k = 0; k < 8; ++k) about |= unsigned{here[steps[k]]} << k;
+        if (about == 0) return false;  // one pixel alone
+        // The first one clockwise after that.
+        const int next = (from + 1) % 8;
+        const int step = (next + __builtin_ctz((about | about << 8) >> next)) % 8;
         if (at.x == piece.first.x && at.y == piece.first.y) {
-            if (step == first_step) return true;
+            if (step == first_step) {
+                outline_.resize(count);
+                return true;
+            }
             first_step = first_step < 0 ? step : first_step;
         }
-        outline_.push_back(at);
+        outline_.put(count++, at);
         at = {at.x + AROUND[step][0], at.y + AROUND[step][1]};
         here += steps[step];
         from = (step + 4) % 8;
@@ -238,48 +273,44 @@ bool QuadSearch::trace(const Piece& piece, std::size_t most) {
 // The convex quadrilateral that the outline is, if it is one: Douglas and Peucker (1973), begun at
 // two points that are far apart, then without corners on a straight line.
 void QuadSearch::add_quad_of_outline() {
-    const std::size_t count = outline_.size();
+    const std::size_t count = outline_.x.size();
     const double most = POLYGON_ACCURACY * static_cast<double>(count);
-    const auto farthest = [&](std::size_t from) {
-        std::size_t best = from;
-        std::int64_t far = -1;
-        for (std::size_t i = 0; i < count; ++i) {
-            const std::int64_t dx = outline_[i].x - outline_[from].x,
-                               dy = outline_[i].y - outline_[from].y;
-            if (dx * dx + dy * dy > far) far = dx * dx + dy * dy, best = i;
-        }
-        return best;
+    auto& [xs, ys] = outline_;
+    off_.resize(count);
+    const auto first_of = [&](std::int32_t value) {
+        return static_cast<std::size_t>(std::find(off_.begin(), off_.end(), value) - off_.begin());
     };
+    const auto farthest = [&](std::size_t from) {
+        return first_of(off_point(xs.data(), ys.data(), count, xs[from], ys[from], off_.data()));
+    };
+    // From the first of the two on, which is there once more at the end.
     const std::size_t first = farthest(farthest(0)), second = farthest(first);
+    const std::size_t to = second > first ? second - first : second + count - first;
+    for (auto* line : {&xs, &ys}) {
+        std::rotate(line->begin(), line->begin() + static_cast<std::ptrdiff_t>(first), line->end());
+        line->push_back(line->front());
+    }
     // Ends of stretches that are still to be split, the next one last.
     std::array<std::array<std::size_t, 2>, 2 * MOST_CORNERS> waiting;
     std::size_t left = 0;
-    const std::size_t to = second > first ? second : second + count;
-    waiting[left++] = {to, first + count};
-    waiting[left++] = {first, to};
+    waiting[left++] = {to, count};
+    waiting[left++] = {0, to};
     std::array<Eigen::Vector2d, MOST_CORNERS> corners;
     std::size_t found = 0;
-    const auto at = [&](std::size_t i) { return outline_[i < count ? i : i - count]; };
     while (left > 0) {
         const auto [begin, end] = waiting[--left];
-        const Point a = at(begin), b = at(end);
-        const std::int64_t along_x = b.x - a.x, along_y = b.y - a.y;
-        std::int64_t far = 0;  // times the length
-        std::size_t where = begin;
-        for (std::size_t i = begin + 1; i < end; ++i) {
-            const Point point = at(i);
-            const std::int64_t off =
-                std::abs(along_x * (point.y - a.y) - along_y * (point.x - a.x));
-            if (off > far) far = off, where = i;
-        }
+        const std::int32_t along_x = xs[end] - xs[begin], along_y = ys[end] - ys[begin];
+        const std::int32_t far = off_line(&xs[begin], &ys[begin], end - begin, xs[begin], ys[begin],
+                                          along_x, along_y, off_.data());
         const double length = std::sqrt(static_cast<double>(along_x * along_x + along_y * along_y));
         if (static_cast<double>(far) > most * length) {
             if (left + 2 > waiting.size()) return;
+            const std::size_t where = begin + first_of(far);
             waiting[left++] = {where, end};
             waiting[left++] = {begin, where};
         } else {
             if (found == MOST_CORNERS) return;
-            corners[found++] = {a.x, a.y};
+            corners[found++] = {xs[begin], ys[begin]};
         }
     }
     for (std::size_t i = 0; i < found && found > 4;) {
@@ -335,7 +366,7 @@ const std::vector<Quad>& QuadSearch::find(const Grey& grey, int window, double l
     for (const std::size_t i : kept_) {
         // Twice as many: outlines are rough.
         if (trace(pieces_[i], 2 * static_cast<std::size_t>(most(pieces_[i]))) &&
-            static_cast<double>(outline_.size()) >= least_perimeter)
+            static_cast<double>(outline_.x.size()) >= least_perimeter)
             add_quad_of_outline();
     }
     return quads_;

@@ -24,18 +24,24 @@ public:
     Grey shrunk(const Grey& grey, std::int64_t step);
 
 private:
-    // A dark run of a row: from `begin` to `end`, that not; `piece`: what it belongs to.
+    // A dark run of a row: from `begin` to `end`, that not; `piece`: what it belongs to, and until
+    // all are found a run of that.
     struct Run {
         std::int32_t begin, end, row, piece;
     };
     struct Point {
         std::int32_t x, y;
     };
-    // A dark piece: its first pixel, its ends, and its size.
+    struct Points {
+        std::vector<std::int32_t> x, y;
+
+        void resize(std::size_t count) { x.resize(count), y.resize(count); }
+        void put(std::size_t i, Point point) { x[i] = point.x, y[i] = point.y; }
+    };
+    // A dark piece: its first pixel, and its ends.
     struct Piece {
         Point first;
         std::int32_t left, top, right, bottom;
-        std::int64_t area;
     };
 
     Grey parted(const Grey& grey);
@@ -53,9 +59,9 @@ private:
     std::vector<std::uint8_t> shrunk_, parted_, dark_;
     std::vector<std::uint16_t> columns_;
     std::vector<Run> runs_;
-    std::vector<std::int32_t> parents_;
+    std::vector<std::int32_t> changes_, off_;
     std::vector<Piece> pieces_;
-    std::vector<Point> outline_;
+    Points outline_;
     std::vector<std::size_t> kept_;
     std::vector<Quad> quads_;
 };

@@ -58,8 +58,9 @@ TRIGPOINT_OBJECT(tp_quad_search, Quads)
 TRIGPOINT_KERNEL(tp_quads) {
     auto& [search, found, spots] = *static_cast<Quads*>(arguments[0].object);
     const Grey grey = Grey::of(arguments[1].array);
-    constexpr std::int64_t LONGEST = 1 << 30;
-    const std::int64_t longest = std::clamp<std::int64_t>(arguments[2].whole, 0, LONGEST),
+    constexpr std::int64_t LONGEST = std::int64_t{1} << 60;
+    const std::int64_t longest = std::clamp(arguments[2].whole, std::max(grey.width, grey.height),
+                                            LONGEST),
                        passes = std::clamp<std::int64_t>(arguments[3].whole, 0, PASSES);
     const bool parts_touching = arguments[4].whole != 0;
     auto quads = arguments[5].array.rows<8>();

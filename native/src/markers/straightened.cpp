@@ -21,14 +21,22 @@ Line edge_line(const Grey& grey, const Eigen::Vector2d& from, const Eigen::Vecto
     const double length = std::max(along.norm(), 1e-9);
     const Eigen::Vector2d outward = Eigen::Vector2d(along.y(), -along.x()) / length;
     std::array<double, ALONG> edge, weight;
+    std::array<float, ALONG * ACROSS> xs, ys, values;
+    for (int i = 0; i < ALONG; ++i) {
+        const Eigen::Vector2d begin = from + (FIRST_ALONG + ALONG_STEP * i) * along;
+        for (int j = 0; j < ACROSS; ++j) {
+            const Eigen::Vector2d at = begin + (FIRST_ACROSS + ACROSS_STEP * j) * outward;
+            xs[i * ACROSS + j] = static_cast<float>(at.x());
+            ys[i * ACROSS + j] = static_cast<float>(at.y());
+        }
+    }
+    sample(grey, xs.data(), ys.data(), ALONG * ACROSS, values.data());
     double total = 0, middle = 0, mean = 0;
     for (int i = 0; i < ALONG; ++i) {
         const double share = FIRST_ALONG + ALONG_STEP * i;
         double before = 0, rises = 0, moment = 0;
         for (int j = 0; j < ACROSS; ++j) {
-            const Eigen::Vector2d at =
-                from + share * along + (FIRST_ACROSS + ACROSS_STEP * j) * outward;
-            const double value = grey.at(static_cast<float>(at.x()), static_cast<float>(at.y()));
+            const double value = values[i * ACROSS + j];
             if (j > 0) {
                 const double rise = std::max(value - before, 0.0);
                 rises += rise * rise;

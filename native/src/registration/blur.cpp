@@ -97,6 +97,7 @@ Kernel Blur::kernel(int step) const {
     // What is even along both axes and what is odd, apart, so that no corner is pulled aside.
     const Shares mirrored = shares.rowwise().reverse();
     add_crosses(0.5 * (shares + mirrored), kernel);
+    kernel.even = kernel.terms;
     add_crosses(0.5 * (shares - mirrored), kernel);
     return kernel;
 }

@@ -14,11 +14,12 @@ constexpr double LEAST_VARIANCE = -1.5, LEAST_SOFT_VARIANCE = 0.12, MOST_VARIANC
 constexpr int LEAST_RADIUS = 2, MOST_RADIUS = 6;
 
 // A blur's kernel on a lattice: a sum of `terms` products of a row and a column, each of
-// 2 radius + 1 shares.
+// 2 radius + 1 shares, the same on both sides of their middle for the first `even` of them, and of
+// the other sign for the others.
 struct Kernel {
     using Taps = std::array<float, 2 * MOST_RADIUS + 1>;
 
-    int radius, terms;
+    int radius, terms, even;
     std::array<Taps, 2 * MOST_RADIUS + 2> across, down;
 };
 

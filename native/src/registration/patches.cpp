@@ -51,15 +51,19 @@ void sample(const Print& print, const Line& line, int count, float* __restrict v
     for (int i = 0; i < count; ++i) values[i] = between(four[i], across[i], down[i]) * (1 / WHITE);
 }
 
-// Of `count` values the sums of TAPS others, `apart` in memory, each with its share; added to what
-// is there, or in its place.
-template <int TAPS, bool ADDS>
+// Of `count` values the sums of those about them, `apart` in memory, two by two with their share;
+// added to what is there, or in its place.
+template <int RADIUS, bool IS_EVEN, bool ADDS>
 inline __attribute__((always_inline)) void filter(const float* __restrict from, int apart,
                                                   const Kernel::Taps& shares, int count,
                                                   float* __restrict to) {
     for (int n = 0; n < count; ++n) {
         float sum = ADDS ? to[n] : 0;
-        for (int i = 0; i < TAPS; ++i) sum += shares[i] * from[n + i * apart];
+        if (IS_EVEN) sum += shares[RADIUS] * from[n + RADIUS * apart];
+        for (int i = 0; i < RADIUS; ++i) {
+            const float first = from[n + i * apart], last = from[n + (2 * RADIUS - i) * apart];
+            sum += shares[i] * (IS_EVEN ? first + last : first - last);
+        }
         to[n] = sum;
     }
 }
@@ -69,7 +73,6 @@ inline __attribute__((always_inline)) void filter(const float* __restrict from, 
 template <int RADIUS>
 inline __attribute__((always_inline)) void soften_by(const Drawing& sharp, const Kernel& kernel,
                                                      int side, Drawing& soft) {
-    constexpr int TAPS = 2 * RADIUS + 1;
     const int width = side + 2 * RADIUS;
     Drawing across;
     // What a product with 0 is made of is a number.
@@ -77,12 +80,20 @@ inline __attribute__((always_inline)) void soften_by(const Drawing& sharp, const
     std::fill_n(soft.begin() + side * width, BEYOND, 0.0F);
     if (kernel.terms == 0) soft.fill(0);  // of a blur that is no number
     for (int term = 0; term < kernel.terms; ++term) {
-        filter<TAPS, false>(sharp.data(), 1, kernel.across[term], width * width - 2 * RADIUS,
-                            across.data());
-        if (term == 0) {
-            filter<TAPS, false>(across.data(), width, kernel.down[term], side * width, soft.data());
+        const auto& row = kernel.across[term];
+        const auto& column = kernel.down[term];
+        const int all = width * width - 2 * RADIUS, down = side * width;
+        if (term < kernel.even) {
+            filter<RADIUS, true, false>(sharp.data(), 1, row, all, across.data());
         } else {
-            filter<TAPS, true>(across.data(), width, kernel.down[term], side * width, soft.data());
+            filter<RADIUS, false, false>(sharp.data(), 1, row, all, across.data());
+        }
+        if (term == 0) {
+            filter<RADIUS, true, false>(across.data(), width, column, down, soft.data());
+        } else if (term < kernel.even) {
+            filter<RADIUS, true, true>(across.data(), width, column, down, soft.data());
+        } else {
+            filter<RADIUS, false, true>(across.data(), width, column, down, soft.data());
         }
     }
 }

@@ -68,7 +68,7 @@ def _has_grown(tried: list[object], most: int) -> bool:
 def test_nothing_vague_is_said_before_every_board_was_looked_for(tried: list[object]) -> None:
     look = Appearance(BOARD, "box", 0)
     boards, picture = MisdescribedBoards([look], [BOARD]), np.full((480, 640), 230, np.uint8)
-    count = len(list(readings([look])))
+    count = len(list(readings((look,))))
     while len(tried) + 5 < count:
         boards.look(picture, {look}, partial(_has_grown, tried, len(tried) + 5))
         assert boards.lines == {}
@@ -87,7 +87,7 @@ def test_boards_are_looked_for_again_when_something_comes_in_but_not_for_ever(
     before = len(tried)
     for _ in range(10):
         boards.look(picture, set(), quads=20)
-    assert set(tried[before:]) == set(readings([look]))
+    assert set(tried[before:]) == set(readings((look,)))
     for _ in range(100):
         boards.look(picture, set(), quads=20)
     assert len(tried) - before < 10 * len(set(tried))
