@@ -9,7 +9,7 @@ from msgspec.structs import replace
 from benchmarks.compositions.files import write_composition
 from benchmarks.compositions.session import composed_session
 from benchmarks.compositions.views import shifted
-from benchmarks.study.measure import GROSS
+from benchmarks.study.judge import GROSS
 from benchmarks.study.session import StudySession, simulated_session, worked_out
 from trigpoint.fusion.intake.robot_identity import RobotIdentification
 from trigpoint.fusion.model.observations import Observation
