@@ -3,8 +3,8 @@
     python -m benchmarks soak [--hours H] [--every S] [--out DIR]
 
 A secured site in three namespaces (server, cameras, robot) runs its real programs: router, fusion,
-recorder, page, two cameras' agents, a bridge and a simulated robot. Every so many seconds something is
-broken, each kind in turn. What it comes to: memory, file handles and threads of every program,
+recorder, page, two cameras' agents, a bridge and a simulated robot. Every so many seconds something
+is broken, each kind in turn. What it comes to: memory, file handles and threads of every program,
 latencies, losses, and how soon each was back; `soak.json` has all that was seen.
 
 What is accelerated is how often things break, nothing else: hours of memory are not made shorter.
