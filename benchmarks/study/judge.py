@@ -77,19 +77,15 @@ def _camera(
     truth: Truth, name: str, said: CameraRecord | None, error: CameraError | None
 ) -> Camera:
     """`error`: of a camera that is located and was seen."""
-    pictures, verdict = truth.pictures.get(name, 0), _verdict(truth, name, said, error)
-    if said is None or error is None:
-        among = None if said is None else _among(said, truth.places[name])
-        return Camera(name, verdict, pictures=pictures, among=among)
-    return Camera(
+    camera = Camera(
         name,
-        verdict,
-        is_moved=bool(said.earlier),
-        pictures=pictures,
-        is_confirmed=said.confirmed,
-        error_m=error.position,
-        sigmas=error.sigmas,
+        _verdict(truth, name, said, error),
+        is_moved=said is not None and bool(said.earlier),
+        pictures=truth.pictures.get(name, 0),
     )
+    if said is None or error is None:
+        return replace(camera, among=None if said is None else _among(said, truth.places[name]))
+    return replace(camera, is_confirmed=said.confirmed, error_m=error.position, sigmas=error.sigmas)
 
 
 def _verdict(
