@@ -5,10 +5,7 @@ A line holds the fingerprint of the sources that made it; those of other sources
 """
 
 import hashlib
-import os
 import signal
-import subprocess
-import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from functools import cache
@@ -16,6 +13,8 @@ from pathlib import Path
 
 import msgspec
 from msgspec.structs import replace
+
+from benchmarks.timing import ended
 
 from .result import Outcome, Result
 from .work import Job, last_line
@@ -118,24 +117,15 @@ def run(store: Store, jobs: list[Job], *, processes: int, limit_s: float) -> Ite
 def bounded(job: Job, limit_s: float) -> Result:
     """The result by a process of the job's own, within a limit of processor time."""
     words = (job.session, str(job.seed), job.estimator, str(limit_s))
-    with subprocess.Popen(
-        [sys.executable, "-m", "benchmarks.study.work", *words],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        # Sessions are worked out side by side, and leave nothing for linear algebra's threads.
-        env=os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
-    ) as process:
-        try:
-            told, said = process.communicate(timeout=_PATIENCE * limit_s)
-        except subprocess.TimeoutExpired:
-            process.send_signal(signal.SIGPROF)
-            told, said = process.communicate()
+    # Sessions are worked out side by side, and leave nothing for linear algebra's threads.
+    one = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    module, most_s = "benchmarks.study.work", _PATIENCE * limit_s
+    status, told, said = ended(module, *words, environment=one, most_s=most_s)
     results = [msgspec.json.decode(line, type=Result) for line in told.splitlines()]
-    if process.returncode == 0:
+    if status == 0:
         return results[-1]
     blank = results[0] if results else Result(job.session, job.seed, 0.0, estimator=job.estimator)
-    if process.returncode == -signal.SIGPROF:
+    if status == -signal.SIGPROF:
         return replace(blank, outcome=Outcome.LATE, seconds=limit_s)
-    why = f"exit {process.returncode}: {last_line(said)}"[:160]
+    why = f"exit {status}: {last_line(said)}"[:160]
     return replace(blank, outcome=Outcome.FAILED, why=why)
