@@ -44,17 +44,21 @@ class Job(Struct, frozen=True):
         return situation_case(simulated_session(self.session, self.seed, estimator=self.estimator))
 
 
+Found = tuple[Network, Array] | str
+"""A network with the joint covariance of its located cameras, or why there is none."""
+
+
 class Case(Struct, frozen=True, eq=False):
-    """A drawn session with its truth. `work` gives the network with the joint covariance of its
-    located cameras, or says why there is none; `blank`: the result before that."""
+    """A drawn session with its truth. `work` gives seconds of processor time and what was found;
+    `blank`: the result before that."""
 
     blank: Result
     truth: Truth
-    work: Callable[[], tuple[Network, Array] | str]
+    work: Callable[[], tuple[float, Found]]
 
     def result(self) -> Result:
         """Work it out and judge it."""
-        seconds, found = worked(self.work)
+        seconds, found = self.work()
         blank = replace(self.blank, seconds=seconds)
         if isinstance(found, str):
             return unlocated(replace(blank, outcome=Outcome.FAILED, why=found), self.truth)
@@ -64,9 +68,9 @@ class Case(Struct, frozen=True, eq=False):
 def situation_case(session: StudySession) -> Case:
     """A situation's session is worked out in memory, and held against its bound."""
 
-    def work() -> tuple[Network, Array]:
-        results = worked_out(session).results()
-        return results.network, results.covariance
+    def work() -> tuple[float, Found]:
+        seconds, results = worked(lambda: worked_out(session).results())
+        return seconds, (results.network, results.covariance)
 
     estimator = session.inputs.site.fusion.estimator
     blank = Result(session.name, session.seed, 0.0, estimator=estimator)
@@ -78,10 +82,11 @@ def situation_case(session: StudySession) -> Case:
 def composition_case(session: Composition) -> Case:
     """A composition is worked out from its files, as a user would."""
 
-    def work() -> tuple[Network, Array] | str:
+    def work() -> tuple[float, Found]:
         with TemporaryDirectory() as folder:
-            status, said = calibrated(write_composition(session, Path(folder)))
-            return found_in(Path(folder) / session.name / "calibration", status, said)
+            directory = write_composition(session, Path(folder))
+            seconds, (status, said) = worked(lambda: calibrated(directory))
+            return seconds, found_in(directory / "calibration", status, said)
 
     recipe = session.recipe
     blank = Result(
@@ -104,7 +109,7 @@ def calibrated(directory: Path) -> tuple[int, str]:
     return status, said.getvalue()
 
 
-def found_in(out: Path, status: int, said: str) -> tuple[Network, Array] | str:
+def found_in(out: Path, status: int, said: str) -> Found:
     """What `calibrate` left in its folder."""
     if status or not (out / "network.json").exists():
         return f"exit {status}: {last_line(said)}"[:160]

@@ -59,7 +59,7 @@ def _judged(folder: Path, session: Composition, errors: dict[str, np.ndarray]) -
 def _found(folder: Path, session: Composition, status: int = 0, said: str = "") -> Result:
     """The result of what `calibrate` would have left in a folder."""
     case = composition_case(session)
-    return replace(case, work=lambda: found_in(folder, status, said)).result()
+    return replace(case, work=lambda: (1.0, found_in(folder, status, said))).result()
 
 
 def test_errors_of_a_sigma_are_honest_and_right(tmp_path: Path, session: Composition) -> None:
