@@ -1,8 +1,11 @@
 """Durations of jobs, measured in turns, so that other work on the machine meets all of them."""
 
 import os
+import signal
+import subprocess
+import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
@@ -34,6 +37,26 @@ def in_new_process(job: Callable[..., _Result], *arguments: object) -> _Result:
     """What a job gives in a process of its own, whose memory and first times are then the job's."""
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
         return pool.submit(job, *arguments).result()
+
+
+def ended(
+    module: str, *words: str, environment: Mapping[str, str], most_s: float, sent: bytes = b""
+) -> tuple[int, bytes, str]:
+    """A module as a program that is `sent` its input: its exit status, output and what it says is
+    wrong. SIGPROF, by which a timer of its own ends it after so much processor time, is also the
+    status where it takes longer than `most_s` by the clock."""
+    try:
+        child = subprocess.run(
+            [sys.executable, "-m", module, *words],
+            input=sent,
+            capture_output=True,
+            env=os.environ | environment,
+            timeout=most_s,
+            check=False,
+        )
+    except subprocess.TimeoutExpired as late:
+        return -signal.SIGPROF, late.stdout or b"", ""
+    return child.returncode, child.stdout, child.stderr.decode(errors="replace")
 
 
 def worked(job: Callable[[], _Result]) -> tuple[float, _Result]:

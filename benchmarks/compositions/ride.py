@@ -150,8 +150,8 @@ class Driver:
     def ride(self) -> Ride:
         """What happened so far."""
         return Ride(
-            _joined(self._truth),
-            _joined(self._report),
+            Pose.joined(self._truth),
+            Pose.joined(self._report),
             self._stops_s,
             self._straight_s,
             self._lifts_s,
@@ -232,10 +232,3 @@ def true_noise(recipe: Recipe) -> OdometryNoise:
 
 def _times(noise: OdometryNoise, factor: float) -> OdometryNoise:
     return structs.replace(noise, **{name: factor * getattr(noise, name) for name in _SCATTERS})
-
-
-def _joined(parts: list[Pose]) -> Pose:
-    return Pose(
-        np.concatenate([part.rotation for part in parts]),
-        np.concatenate([part.translation for part in parts]),
-    )

@@ -10,6 +10,7 @@ from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.camera import LensModel
 from trigpoint.geometry.rotation import exp
 from trigpoint.testing.views import looking_at
+from trigpoint.tools.simulation.motion.actors import Move
 
 from .recipe import Recipe, Room
 
@@ -18,13 +19,6 @@ _MOST_DRAWS = 1000
 # Of unknown lenses, about what the recorded camera_info says: focal length (relative), principal
 # point (of the width), the first two coefficients.
 FOCAL_SPREAD, CENTRE_SPREAD, DISTORTION_SPREAD = 0.03, 0.01, 0.03
-
-
-class Move(Struct, frozen=True, eq=False):
-    """A camera that is knocked at a time, seconds, and hangs at `map_from_camera` from then on."""
-
-    at_s: float
-    map_from_camera: Pose
 
 
 class Camera(Struct, frozen=True, eq=False):
@@ -40,16 +34,16 @@ class Camera(Struct, frozen=True, eq=False):
 
     def pose_at(self, t_s: float) -> Pose:
         """map_from_camera at a true time."""
-        past = [move.map_from_camera for move in self.moves if move.at_s <= t_s]
-        return past[-1] if past else self.map_from_camera
+        pose = self.map_from_camera
+        for move in self.moves:
+            pose = pose.disturbed(move.by) if move.at_s <= t_s else pose
+        return pose
 
     def knocked(self, at_s: float, random: np.random.Generator) -> "Camera":
         """The same, moved by 5 to 40 cm and by some degrees."""
         away = _direction(random) * random.uniform(0.05, 0.4)
         turn = _direction(random) * np.radians(random.uniform(1.0, 10.0))
-        pose = self.pose_at(at_s).disturbed(np.concatenate([away, turn]))
-        moves = sorted((*self.moves, Move(at_s, pose)), key=lambda move: move.at_s)
-        return replace(self, moves=tuple(moves))
+        return replace(self, moves=(*self.moves, Move(at_s, np.concatenate([away, turn]))))
 
 
 def cameras_of(recipe: Recipe) -> list[Camera]:

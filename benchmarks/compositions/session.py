@@ -17,7 +17,7 @@ from .recipe import Recipe, drawn
 from .ride import STEP_S, STEPS_A_MESSAGE, Ride
 from .room import Camera, cameras_of
 from .route import ride_of
-from .views import Carrier, Picture, only_good, pictures_of, shifted
+from .views import Carrier, Picture, pictures_of
 
 MOUNT_M, MOUNT_RAD = 0.003, float(np.radians(0.5))
 _LATE_S, _TWICE_S = (0.5, 3.0), 0.05
@@ -63,7 +63,7 @@ class Composition(Struct, frozen=True, eq=False):
         return counts
 
     def _good(self, camera: Camera) -> list[Picture]:
-        return [p for p in self.pictures[camera.name] if only_good(p) is not None]
+        return [picture for picture in self.pictures[camera.name] if picture.is_good]
 
     def odometry(self, robot: str) -> tuple[np.ndarray, Pose]:
         """Stamps (n,) after the start, nanoseconds, and reported poses of a robot's messages."""
@@ -94,7 +94,7 @@ class Composition(Struct, frozen=True, eq=False):
                 yield from self._delivered(camera, picture)
 
     def _delivered(self, camera: Camera, picture: Picture) -> Iterator[tuple[int, str, Message]]:
-        stamp_ns = shifted(picture, camera.time_offset_s)
+        stamp_ns = picture.stamp_ns(camera.time_offset_s)
         size = (camera.model.width, camera.model.height)
         faces = tuple(face.sighting for face in picture.faces)
         message = Sightings(EPOCH_NS + stamp_ns, f"{camera.name}/optical", *size, faces)
@@ -182,7 +182,7 @@ def _is_told(
         met_s = [
             picture.t_s
             for picture in seen[camera.name]
-            if any(face.robot == carrier.name and face.is_good for face in picture.faces)
+            if any(face.robot == carrier.name and face.is_good.any() for face in picture.faces)
         ]
         moved_s = [move.at_s for move in camera.moves]
         since_s = max((at_s for at_s in moved_s if at_s < lift_s), default=-np.inf)

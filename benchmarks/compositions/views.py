@@ -5,11 +5,11 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from trigpoint.base.clock import to_ns
-from trigpoint.contract.messages import FaceSighting
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import exp
 from trigpoint.site.target import Target
 from trigpoint.tools.simulation.sight.seen_corners import SeenFace, seen_faces_each, told_name
+from trigpoint.tools.simulation.world import Shown
 
 from .recipe import Recipe
 from .ride import Ride
@@ -30,29 +30,22 @@ class Carrier(Struct, frozen=True, eq=False):
     ride: Ride
 
 
-class Labelled(Struct, frozen=True, eq=False):
-    """A sighting as it is sent, and what it truly shows. `is_turned`: in the order of the half
-    turn; `is_displaced`, `is_misnamed`: wrong as a whole; `wild`: how many corners are."""
-
-    sighting: FaceSighting
-    robot: str
-    face: int
-    is_turned: bool
-    is_displaced: bool
-    is_misnamed: bool
-    wild: int
-
-    @property
-    def is_good(self) -> bool:
-        return not (self.is_displaced or self.is_misnamed)
-
-
 class Picture(Struct, frozen=True, eq=False):
-    """What a camera saw at a true time; `faces` is never empty."""
+    """What a camera saw at a true time; `faces` is never empty. Of a sighting that is wrong as a
+    whole, displaced or misnamed, no corner is good."""
 
     camera: str
     t_s: float
-    faces: tuple[Labelled, ...]
+    faces: tuple[Shown, ...]
+
+    @property
+    def is_good(self) -> bool:
+        """Whether any sighting is not wrong as a whole."""
+        return any(face.is_good.any() for face in self.faces)
+
+    def stamp_ns(self, offset_s: float) -> int:
+        """Nanoseconds after the session's start, on a clock that is so far ahead."""
+        return to_ns(self.t_s) + to_ns(offset_s)
 
 
 def faces_in_sight(recipe: Recipe, target: Target, base: np.ndarray, camera: Camera) -> list[int]:
@@ -79,22 +72,12 @@ def pictures_of(
             for row, faces in zip(rows.tolist(), each, strict=True):
                 found = (face for face in faces if face.is_found(recipe.smallest_square_px))
                 seen[row] += [(carrier, face) for face in found]
-    return [
-        Picture(camera.name, t_s, _labelled_all(recipe, camera, t_s, faces, carriers))
-        for t_s, faces in zip(times_s.tolist(), seen, strict=True)
-        if faces
-    ]
-
-
-def _labelled_all(
-    recipe: Recipe,
-    camera: Camera,
-    t_s: float,
-    faces: list[tuple[Carrier, SeenFace]],
-    carriers: list[Carrier],
-) -> tuple[Labelled, ...]:
-    random = recipe.random("picture", camera.name, round(t_s * 1000))
-    return tuple(_labelled(recipe, face, carrier, carriers, random) for carrier, face in faces)
+    pictures = []
+    for t_s, faces in zip(times_s.tolist(), seen, strict=True):
+        random = recipe.random("picture", camera.name, round(t_s * 1000))
+        shown = tuple(_shown(recipe, face, carrier, carriers, random) for carrier, face in faces)
+        pictures += [Picture(camera.name, t_s, shown)] if shown else []
+    return pictures
 
 
 def _as_it_stands(recipe: Recipe, carrier: Carrier, times_s: np.ndarray) -> Pose:
@@ -124,13 +107,13 @@ def _floor(recipe: Recipe, places: np.ndarray) -> np.ndarray:
     return np.sin(phase) @ amplitudes
 
 
-def _labelled(
+def _shown(
     recipe: Recipe,
     seen: SeenFace,
     carrier: Carrier,
     carriers: list[Carrier],
     random: np.random.Generator,
-) -> Labelled:
+) -> Shown:
     """The sighting of a face with its noise and what goes wrong with it."""
     count, told = len(seen.corners), carrier.told.face(seen.face.id)
     pixels = seen.pixels + recipe.sigma_px / recipe.stated * _noise(recipe, count, random)
@@ -152,9 +135,8 @@ def _labelled(
     is_misnamed = bool(may_be_misnamed and chances[2] < recipe.misnamed_share)
     if is_misnamed:
         sighting = replace(sighting, face=int(random.choice(others)))
-    return Labelled(
-        sighting, carrier.name, told.id, is_turned, is_displaced, is_misnamed, int(wild.sum())
-    )
+    is_good = ~wild & (not is_displaced and not is_misnamed)
+    return Shown(sighting, carrier.name, told.id, is_turned, is_good)
 
 
 def _noise(recipe: Recipe, count: int, random: np.random.Generator) -> np.ndarray:
@@ -168,14 +150,3 @@ def _displacement(recipe: Recipe, random: np.random.Generator) -> float:
     low, high = np.log([_LEAST_DISPLACED_PX, _MOST_DISPLACED_PX])
     drawn = float(np.exp(random.uniform(low, high)))
     return drawn if recipe.displaced_px is None else recipe.displaced_px
-
-
-def shifted(picture: Picture, offset_s: float) -> int:
-    """The picture's stamp, nanoseconds after the session's start, on its camera's clock."""
-    return to_ns(picture.t_s) + to_ns(offset_s)
-
-
-def only_good(picture: Picture) -> Picture | None:
-    """The picture's sightings that are not wrong as a whole."""
-    faces = tuple(face for face in picture.faces if face.is_good)
-    return replace(picture, faces=faces) if faces else None

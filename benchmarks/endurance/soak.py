@@ -3,8 +3,8 @@
     python -m benchmarks soak [--hours H] [--every S] [--out DIR]
 
 A secured site in three namespaces (server, cameras, robot) runs its real programs: router, fusion,
-recorder, two cameras' agents, a bridge and a simulated robot. Every so many seconds something is
-broken, each kind in turn. What it comes to: memory, file handles and threads of every program,
+recorder, page, two cameras' agents, a bridge and a simulated robot. Every so many seconds something
+is broken, each kind in turn. What it comes to: memory, file handles and threads of every program,
 latencies, losses, and how soon each was back; `soak.json` has all that was seen.
 
 What is accelerated is how often things break, nothing else: hours of memory are not made shorter.
@@ -32,7 +32,7 @@ from benchmarks.timing import family, resident_mb
 from trigpoint.contract.access import Kind
 from trigpoint.site.config import BusConfig, TlsConfig
 from trigpoint.tools.parts.output import LogFile
-from trigpoint.tools.parts.specs import FUSION, firmware, nodes, trigpoint
+from trigpoint.tools.parts.specs import FUSION, PAGE, firmware, nodes, trigpoint
 from trigpoint.tools.parts.supervisor import Part, PartSpec, Supervisor
 from trigpoint.tools.simulation.site_files import robot_port, write_site
 from trigpoint.tools.simulation.world import World, load_world
@@ -143,6 +143,7 @@ class Soak:
         link, journal = self.folder / robot_port("r1"), self.folder / "r1.jsonl"
         of_world = {"world": "lab", "seed": 1, "target": "charuco", "log": journal}
         router = trigpoint("router", "--site", site("router"), "--name", "hall")
+        page = trigpoint("board", "--site", site("server"), "--port", "0")
         recorder, fusion = nodes(site("server"), cameras=(), robots=(), agents=1, out=out)
         *_, edge = nodes(site("cameras"), cameras=_CAMERAS, robots=(), agents=1)
         *_, robot = nodes(site("robot"), cameras=(), robots=("r1",), agents=1)
@@ -150,6 +151,7 @@ class Soak:
             "router": ("server", PartSpec("router", router, FUSION + 1)),
             "fusion": ("server", fusion),
             "recorder": ("server", recorder),
+            "page": ("server", PartSpec("page", page, PAGE)),
             "firmware": ("robot", firmware("r1", epoch_ns=self.epoch_ns, link=link, **of_world)),
             "edge": ("cameras", edge),
             "robot": ("robot", robot),

@@ -219,8 +219,7 @@ def main(
     cells: Annotated[int, typer.Option(min=1, help="How many are drawn.")] = 10_000,
     times: Annotated[int, typer.Option(min=1, help="How often each is.")] = 4,
     seed: Annotated[int, typer.Option(help="Of the drawing.")] = 1,
-    target: Annotated[str, typer.Option(help="charuco or checkerboard.")] = "charuco",
+    target: Annotated[TargetChoice, typer.Option(help="What the robot carries.")] = "charuco",
 ) -> list[Row]:
     """Hold drawn errors against the map."""
-    kind: TargetChoice = "checkerboard" if target == "checkerboard" else "charuco"
-    return list(rows_of(drawn(*calibrated(hall(1, kind)), cells, seed, times)))
+    return list(rows_of(drawn(*calibrated(hall(1, target)), cells, seed, times)))

@@ -1,6 +1,6 @@
 """A long session whose past is summarised, beside the same solved as a whole.
 
-    python -m benchmarks bounded [--laps L] [--sessions S] [--lenses]
+    python -m benchmarks bounded [--laps L] [--sessions S]
     python -m benchmarks bounded --days D [--laps L] [--cameras C]
 
 A robot drives L times round ten cameras: with each lap it comes before each once. Both times all of
@@ -39,7 +39,6 @@ from trigpoint.tools.simulation.session import EPOCH_NS
 from .corridor import Corridor
 
 _CAMERAS = 10
-_LENSES = 'intrinsics = "estimate"\ntime_offset_sigma = 0.01\n'
 _NEVER = Limits(10**9, 10**9, 10**9)
 _DAY_NS = to_ns(24 * 3600.0)
 
@@ -49,15 +48,13 @@ def main(
         float | None, typer.Option(help="30, and 2 a day; the past begins after 24 by ten cameras.")
     ] = None,
     sessions: Annotated[int, typer.Option(help="How many, each drawn anew.")] = 4,
-    lenses: Annotated[bool, typer.Option(help="Lenses and clocks are estimated, too.")] = False,
-    days: Annotated[int, typer.Option(help="Of one map, day by day, lenses known.")] = 1,
+    days: Annotated[int, typer.Option(help="Of one map, day by day.")] = 1,
     cameras: Annotated[int, typer.Option(help="Round the ring.")] = _CAMERAS,
 ) -> list[Row]:
     """Hold a map with a summarised past against the solution over everything."""
-    options = _LENSES if lenses and days == 1 else ""
     laps = laps or (30 if days == 1 else 2)
     driven_s = laps * Corridor(cameras, 0.0).lap_s
-    corridor = Corridor(cameras, driven_s, pictures_hz=1.0, camera_options=options)
+    corridor = Corridor(cameras, driven_s, pictures_hz=1.0)
     if days > 1:
         return list(_rows(f"{days} days of {laps:g} laps", *_days(corridor, days)))
     found = [np.concatenate(list(_errors(corridor, limits, sessions))) for limits in (LIVE, _NEVER)]

@@ -38,8 +38,7 @@ _CAMERA = '[cameras.c{}]\nsource = "sim://c{}"\nwidth = 640\nheight = 480\nrate 
 class Corridor(Struct, frozen=True):
     """`cameras` of them on a ring, driven along for `duration_s`. `robots`: spread along it, each
     with a target of its own; `is_empty_told`: whether cameras that see none say so; `stands_s`: for
-    how long they then stand where they arrived; `camera_options`: more lines of each camera's
-    table."""
+    how long they then stand where they arrived."""
 
     cameras: int
     duration_s: float
@@ -48,7 +47,6 @@ class Corridor(Struct, frozen=True):
     odometry_hz: float = ODOMETRY_HZ
     is_empty_told: bool = False
     stands_s: float = 0.0
-    camera_options: str = ""
 
     @property
     def radius_m(self) -> float:
@@ -69,8 +67,7 @@ class Corridor(Struct, frozen=True):
 
     @property
     def inputs(self) -> Inputs:
-        tables = (_CAMERA.format(i, i) + self.camera_options for i in range(self.cameras))
-        cameras = "\n".join(tables)
+        cameras = "\n".join(_CAMERA.format(i, i) for i in range(self.cameras))
         robots = "\n".join(map(_ROBOT.format, self.targets))
         site = parse_site(_SITE.format(cameras=cameras, robots=robots), directory=Path())
         return Inputs(site, self.targets)

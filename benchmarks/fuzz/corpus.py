@@ -6,8 +6,7 @@ import pickle
 import time
 from collections import defaultdict
 from collections.abc import Iterator
-from contextlib import closing, contextmanager, redirect_stderr, redirect_stdout
-from io import StringIO
+from contextlib import closing, contextmanager
 from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -22,7 +21,7 @@ from benchmarks.compositions.files import write_composition
 from benchmarks.compositions.session import composed_session
 from benchmarks.pictures.nasty import crowd_of_boards
 from benchmarks.study.session import simulated_session
-from trigpoint.cli import run
+from benchmarks.study.work import calibrated
 from trigpoint.edge.tracker import TargetTracker
 from trigpoint.fusion.live.solver_process import SolverProcess
 from trigpoint.fusion.pipeline import Pipeline
@@ -110,10 +109,8 @@ def found_boards(pattern: str, crowd: int) -> None:
 
 def _calibrated(kind: str, seed: int) -> None:
     """As a user would, with the page and the places to drive to next."""
-    with TemporaryDirectory() as folder, redirect_stdout(StringIO()), redirect_stderr(StringIO()):
-        directory = write_composition(composed_session(kind, seed), Path(folder))
-        session, out = str(directory / "session.mcap"), str(directory / "calibration")
-        run(["calibrate", session, "--site", str(directory / "site.toml"), "--out", out])
+    with TemporaryDirectory() as folder:
+        calibrated(write_composition(composed_session(kind, seed), Path(folder)))
 
 
 def _driven(situation: str, seed: int) -> None:

@@ -4,8 +4,6 @@ import os
 import pickle
 import re
 import signal
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Sequence
@@ -14,6 +12,8 @@ from pathlib import Path
 
 from msgspec import Struct, field
 from msgspec.structs import replace
+
+from benchmarks.timing import ended
 
 from .child import Work
 from .inputs import drawn
@@ -57,20 +57,12 @@ class Found(Struct):
 
 def ran(work: Work, preload: Sequence[Path]) -> Ending:
     """Do the work in a child, until its end or its first bad input."""
-    environment = os.environ | OPTIONS | {"LD_PRELOAD": " ".join(map(str, preload))}
-    command = [sys.executable, "-m", "benchmarks.fuzz.child"]
-    try:
-        child = subprocess.run(
-            command,
-            input=pickle.dumps(work),
-            capture_output=True,
-            env=environment,
-            timeout=MOST_WALL_S,
-            check=False,
-        )
-        status, words = child.returncode, child.stderr.decode(errors="replace")
-    except subprocess.TimeoutExpired:
-        status, words = -signal.SIGPROF, ""
+    status, _, words = ended(
+        "benchmarks.fuzz.child",
+        environment=OPTIONS | {"LD_PRELOAD": " ".join(map(str, preload))},
+        most_s=MOST_WALL_S,
+        sent=pickle.dumps(work),
+    )
     number = int(work.progress.read_bytes() or work.numbers.start)
     if status == 0:
         return Ending(number)

@@ -3,16 +3,14 @@
 A process publishes 100 cameras and 30 robots at 10 Hz over Zenoh, `trigpoint board` serves them, a
 socket counts what one page takes, and Chromium, where there is one, shows the page: how long after
 its message a robot has moved on the screen. A bare Zenoh session that hears the same, and does
-nothing with it, says what of the server's work is the bus. `--hours 24`: a day of a fast clock too.
+nothing with it, says what of the server's work is the bus. `--hours 24`: a browser's day of a fast
+clock, too.
 """
 
 import json
 import multiprocessing
 import os
-import shutil
 import socket
-import subprocess
-import sys
 import tempfile
 import time
 import urllib.request
@@ -22,15 +20,14 @@ from functools import partial
 from multiprocessing.synchronize import Event
 from pathlib import Path
 from typing import Annotated
-from urllib.parse import urlsplit
 
 import typer
 from support.builders import TARGET_TEXT, site_text
 from support.site.board_site import BoardSite, Truth
 from support.site.board_site import run as publish
 
-from benchmarks.network.board_beside import beside
-from benchmarks.network.board_day import day
+from benchmarks.network import board_browser
+from benchmarks.network.board_beside import beside, opened, program
 from benchmarks.table import Row, lateness_rows
 from benchmarks.timing import resident_mb, worked_s
 from trigpoint.contract import topics
@@ -54,22 +51,6 @@ _SHOWN = (
 _ROUND_M = 10.0
 """Robot r1 goes a metre a second along x, over and over: where it is says when that was sent."""
 
-# A frame after the one that shows a new place, that one has been painted.
-_WATCH = """(seconds) => new Promise((done) => {
-  const found = [], end = performance.now() + 1000 * seconds;
-  let last = "", seen = null;
-  const look = () => {
-    if (seen !== null) found.push([seen, Date.now()]);
-    const mark = document.querySelector('#robots [data-id="robot/r1"]');
-    const at = mark ? mark.dataset.x : last;
-    seen = at !== last ? Number(at) : null;
-    last = at;
-    if (performance.now() < end) requestAnimationFrame(look);
-    else done(found);
-  };
-  requestAnimationFrame(look);
-})"""
-
 
 class _Paced(Truth, frozen=True):
     def robot(self, index: int, time_s: float) -> tuple[float, float, float]:
@@ -83,21 +64,24 @@ def main(
     hours: Annotated[float, typer.Option(help="Of a fast clock; 0: none.", min=0.0)] = 0.0,
 ) -> list[Row]:
     """Measure the page's transfer, its latency, and what its server takes."""
-    with tempfile.TemporaryDirectory() as folder, _site(Path(folder), cameras, robots) as path:
-        process, address = _board(path)
-        try:
-            time.sleep(_SETTLED_S)
-            rows = [
-                *beside(path, address, process.pid, seconds),
-                *_transfer(path, address, process.pid, seconds),
-                *_to_the_page(address, seconds),
-                *_to_pixels(address, seconds),
-            ]
-            rows.append(_row("server's memory", "MB", resident_mb(process.pid), 0.0, "none"))
-            return rows + (day(hours) if hours else [])
-        finally:
-            process.terminate()
-            process.wait(20)
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        _site(Path(folder), cameras, robots) as path,
+        program("board", "--site", str(path), "--port", "0") as server,
+    ):
+        assert server.stdout is not None
+        address = server.stdout.readline().rpartition(" ")[2].strip()
+        time.sleep(_SETTLED_S)
+        rows = [
+            *beside(path, address, server.pid, seconds),
+            *_transfer(path, address, server.pid, seconds),
+            *_to_the_page(address, seconds),
+            _row("server's memory", "MB", resident_mb(server.pid), 0.0, "none"),
+        ]
+        if board_browser.is_there():
+            rows += _to_pixels(address, seconds)
+            rows += [_day(hours)] if hours else []
+        return rows
 
 
 @contextmanager
@@ -134,14 +118,6 @@ def _publish(path: Path, cameras: int, robots: int, over: Event) -> None:
         publish(BoardSite(bus, site, _Paced(cameras, robots)), time.time, over.is_set)
 
 
-def _board(site: Path) -> tuple[subprocess.Popen[str], str]:
-    words = [sys.executable, "-m", "trigpoint", "board", "--site", str(site), "--port", "0"]
-    environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
-    process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=environment)
-    assert process.stdout is not None
-    return process, process.stdout.readline().rpartition(" ")[2].strip()
-
-
 def _hear_bare(path: Path, over: Event) -> None:
     """Bare Zenoh subscribers to all that the page shows."""
     site = load_site(path)
@@ -159,11 +135,7 @@ def _hear_bare(path: Path, over: Event) -> None:
 def _transfer(site: Path, address: str, pid: int, seconds: float) -> list[Row]:
     """On the wire, as a browser takes it; one page is open."""
     start = sum(_size(f"{address}{name}") for name in _FILES)
-    with socket.create_connection((urlsplit(address).hostname, urlsplit(address).port)) as page:
-        host = urlsplit(address).netloc
-        page.sendall(
-            f"GET /events HTTP/1.1\r\nHost: {host}\r\nAccept-Encoding: gzip\r\n\r\n".encode()
-        )
+    with opened(address) as page:
         state = _taken(page, 0.5)
         with _beside(_hear_bare, site) as bare:
             _taken(page, _SETTLED_S)
@@ -215,19 +187,15 @@ def _to_the_page(address: str, seconds: float) -> list[Row]:
 
 
 def _to_pixels(address: str, seconds: float) -> list[Row]:
-    """Message to pixels; nothing without Chromium."""
-    chromium = shutil.which("chromium")
-    if chromium is None:
-        return []
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
-        page = browser.new_page(viewport={"width": 1440, "height": 900})
-        page.goto(address)
-        page.wait_for_selector('#robots [data-id="robot/r1"]')
-        page.wait_for_timeout(2000)
-        found = page.evaluate(_WATCH, seconds)
-        browser.close()
-    late_ms = [1e3 * ((now_ms / 1e3 - at_m) % _ROUND_M) for at_m, now_ms in found]
+    """Message to pixels."""
+    late_ms = [
+        1e3 * ((painted_ms / 1e3 - at_m) % _ROUND_M)
+        for at_m, painted_ms in board_browser.pixels_shown(address, seconds)
+    ]
     return lateness_rows("page", "message to pixels", late_ms, _GOAL_MS)
+
+
+def _day(hours: float) -> Row:
+    young_mb, old_mb = board_browser.memory_mb(hours)
+    what = f"memory of a browser's page after {hours:g} hours"
+    return _row(what, "MB", old_mb, young_mb, "after ten minutes")

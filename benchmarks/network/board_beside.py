@@ -5,7 +5,6 @@ page and with ten, of which one is not read any more and goes on at the end. Its
 for it, since no server can know of what is read later.
 """
 
-import signal
 import socket
 import subprocess
 import sys
@@ -32,7 +31,7 @@ from trigpoint.recorder.session.recording import RecordedSample, open_recording
 _PAGES, _TURNS = 10, 2
 _SETTLED_S, _LAST_S = 5.0, 2.0
 """After which a recorder has taken what was sent before it came; and what was sent is there."""
-_BACK_S, _AGAIN_S, _HELD_BYTES = 20.0, 1.0, 16 << 10
+_BACK_S, _AGAIN_S, _STOP_S, _HELD_BYTES = 20.0, 1.0, 60.0, 16 << 10
 _STAMP_AT = 4
 _row = partial(Row, "page")
 
@@ -76,7 +75,7 @@ def beside(site: Path, address: str, server: int, seconds: float) -> list[Row]:
     """Rows of ten pages against none; `server`: the board's process."""
     none, ten = _Turns(), _Turns()
     with TemporaryDirectory() as folder:
-        with _recording(site, folder):
+        with program("record", "--site", str(site), "--out", folder):
             time.sleep(_SETTLED_S)
             for _ in range(_TURNS):
                 none.take(server, seconds)
@@ -114,14 +113,27 @@ def _stamp_ns(sample: RecordedSample) -> int:
 
 
 @contextmanager
-def _recording(site: Path, folder: str) -> Iterator[None]:
-    words = [sys.executable, "-m", "trigpoint", "record", "--site", str(site), "--out", folder]
-    recorder = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+def program(*words: str) -> Iterator[subprocess.Popen[str]]:
+    """A command of ours inside the `with` block, at whose end it is stopped."""
+    command = [sys.executable, "-u", "-m", "trigpoint", *words]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
-        yield
+        yield process
     finally:
-        recorder.send_signal(signal.SIGINT)
-        recorder.wait(60)
+        process.terminate()
+        process.communicate(timeout=_STOP_S)
+
+
+def opened(address: str, *, held_bytes: int | None = None) -> socket.socket:
+    """The page's stream of events, as a browser asks for it; `held_bytes`: what this machine holds
+    for who does not read."""
+    host, page = urlsplit(address), socket.socket()
+    if held_bytes is not None:
+        page.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, held_bytes)
+    page.connect((host.hostname, host.port))
+    request = f"GET /events HTTP/1.1\r\nHost: {host.netloc}\r\nAccept-Encoding: gzip\r\n\r\n"
+    page.sendall(request.encode())
+    return page
 
 
 @contextmanager
@@ -150,7 +162,7 @@ class _Page(threading.Thread):
 
     def __init__(self, address: str) -> None:
         super().__init__()
-        self._host = urlsplit(address)
+        self._address = address
         self._count = 0
         self.reads, self.is_over = threading.Event(), threading.Event()
         self.reads.set()
@@ -163,15 +175,9 @@ class _Page(threading.Thread):
         return self._count >= times
 
     def run(self) -> None:
-        request = f"GET /events HTTP/1.1\r\nHost: {self._host.netloc}\r\nAccept-Encoding: gzip\r\n"
         while not self.is_over.is_set():
-            with (
-                suppress(OSError),
-                socket.socket() as page,
-            ):  # the server hung up; so it comes again
-                page.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _HELD_BYTES)
-                page.connect((self._host.hostname, self._host.port))
-                page.sendall(f"{request}\r\n".encode())
+            # The server may hang up, and the page then comes again.
+            with suppress(OSError), opened(self._address, held_bytes=_HELD_BYTES) as page:
                 is_first = True
                 while page.recv(1 << 16) and not self.is_over.is_set():
                     self._count += is_first

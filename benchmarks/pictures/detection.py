@@ -142,7 +142,7 @@ def _tracked_rows(
     """Pictures in which a face was found in the last one, and OpenCV on the same ones."""
     ours, views = Run(), []
     for sequence in pictures.sequences(share_of(_SEQUENCES[size], effort), _LENGTH):
-        turns = [_followed(pictures.target, sequence) for _ in range(_ROUNDS)]
+        turns = [followed(pictures.target, sequence) for _ in range(_ROUNDS)]
         for pictured in zip(*turns, strict=True):
             view, _, answer = pictured[0]
             views.append(view)
@@ -158,7 +158,7 @@ def _tracked_rows(
     return [*rows, sigma_row(_row, f"{what} driving, followed", scores[OURS])]
 
 
-def _followed(
+def followed(
     target: Target, sequence: list[tuple[int, View]]
 ) -> list[tuple[View, float, list[Found]]]:
     """The views of a sequence in which faces were followed, each with its seconds and what a new

@@ -13,10 +13,9 @@ import typer
 
 from benchmarks.table import Row
 from benchmarks.timing import in_new_process, worked
-from trigpoint.edge.tracker import TargetTracker
 from trigpoint.site.target import Face, Pattern, Target
 
-from .detection import OURS, Run, one_thread, our_finder, runs
+from .detection import OURS, Run, followed, one_thread, our_finder, runs
 from .empty import empty_pictures
 from .opencv_finders import Finder, charuco_shared, checkerboards, checkerboards_by_sectors
 from .other_finders import charuco_by_calib_targets, chessboard_by_calib_targets, tags_by_apriltag
@@ -28,7 +27,7 @@ _row = partial(Row, "real_boards")
 CLASSIC, SECTORS = "classic + sub-pixel", "sector finder, exhaustive"
 _SIZE = (640, 480)
 _BUSY = 40
-_FOLLOWED, _LENGTH, _SETTLED = 6, 8, 2
+_FOLLOWED, _LENGTH = 6, 8
 _APART_NS = 30_000_000
 
 
@@ -84,12 +83,9 @@ def _followed_row(choice: str) -> Row:
     of them is searched for others."""
     pictures, took = gallery(choice), list[float]()
     for sequence in pictures.sequences(_FOLLOWED, _LENGTH):
-        tracker = TargetTracker([pictures.target])
-        for number, (_, view) in enumerate(sequence):
-            stamp_ns = 1 + number * _APART_NS
-            seconds, found = worked(lambda t=tracker, v=view, s=stamp_ns: t.detect(v.picture, s))
-            if number >= _SETTLED and len(found) == 2:
-                took.append(1e3 * seconds)
+        quick = [(1 + number * _APART_NS, view) for number, (_, view) in enumerate(sequence)]
+        seen = followed(pictures.target, quick)
+        took += [1e3 * seconds for _, seconds, found in seen if len(found) == 2]
     return _row(f"two faces followed, {choice}, 640 x 480", "ms", _median(took), 1.0, "the goal")
 
 

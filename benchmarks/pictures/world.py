@@ -12,6 +12,8 @@ import numpy as np
 from msgspec import Struct
 
 from benchmarks.table import Row, share_of
+from trigpoint.geometry import CameraModel
+from trigpoint.geometry.camera import LensModel
 from trigpoint.geometry.rotation import Array
 from trigpoint.site.target import NOWHERE, Face, Pattern, Target
 from trigpoint.tools.simulation.drawing.textures import texture
@@ -37,7 +39,6 @@ _TEXELS = 96
 _MARGIN_PX = 6
 # How often the place where a ray meets a curled sheet is mended.
 _MEETINGS = 5
-_NEWTON_STEPS = 8
 
 
 class Kind(Struct, frozen=True):
@@ -108,7 +109,7 @@ def world_views(choice: str, kind: str, count: int) -> list[View]:
 
 
 def _view(face: Face, kind: Kind, random: _Random) -> View:
-    lens = WorldLens.of(kind.size, kind.diagonal_deg, kind.bulge, random.uniform(-0.01, 0.01, 2))
+    lens = _lens(kind, random.uniform(-0.01, 0.01, 2))
     while True:
         sheet = _placed(face, kind, lens, random)
         pixels = lens.project(sheet.in_camera(face.corners[:, :2]))
@@ -125,44 +126,22 @@ def _view(face: Face, kind: Kind, random: _Random) -> View:
     return View(_developed(light, kind, random), (TrueFace(face, pixels, True),))
 
 
-class WorldLens(Struct, frozen=True):
-    """A lens of a camera that watches a room: a ray at an angle t from the axis is `focal_px`
-    (t + bulge t³) from `middle`, pixels. A bulge of 1/3 is nearly a lens without distortion, 0 an
-    even fisheye, less than 0 a stronger one."""
+def _lens(kind: Kind, aside: Array) -> CameraModel:
+    """A lens that brings a ray at an angle t from its axis to a radius that grows with
+    t + bulge t³, and sees so much from corner to corner; `aside`: (2,) how far its centre is from
+    the picture's, of the diagonal. A bulge of 1/3 is nearly a lens without distortion, 0 an even
+    fisheye, less than 0 a stronger one."""
+    angle, diagonal = np.radians(kind.diagonal_deg) / 2, float(np.hypot(*kind.size))
+    focal = float(diagonal / 2 / (angle + kind.bulge * angle**3))
+    x, y = ((np.array(kind.size) - 1) / 2 + aside * diagonal).tolist()
+    return CameraModel(*kind.size, focal, focal, x, y, (kind.bulge,), LensModel.EQUIDISTANT)
 
-    size: tuple[int, int]
-    focal_px: float
-    bulge: float
-    middle: tuple[float, float]
 
-    @classmethod
-    def of(
-        cls, size: tuple[int, int], diagonal_deg: float, bulge: float, aside: Array
-    ) -> "WorldLens":
-        """A lens that sees so much from corner to corner; `aside`: (2,) how far its centre is from
-        the picture's, of the diagonal."""
-        angle, diagonal = np.radians(diagonal_deg) / 2, float(np.hypot(*size))
-        focal = diagonal / 2 / (angle + bulge * angle**3)
-        x, y = (np.array(size) - 1) / 2 + aside * diagonal
-        return cls(size, float(focal), bulge, (float(x), float(y)))
-
-    def project(self, points: Array) -> Array:
-        """Pixels (n, 2) of points (n, 3) in the camera's frame."""
-        across = np.linalg.norm(points[:, :2], axis=1)
-        angle = np.arctan2(across, points[:, 2])
-        radius = self.focal_px * (angle + self.bulge * angle**3)
-        return np.array(self.middle) + points[:, :2] * (radius / np.maximum(across, 1e-12))[:, None]
-
-    def rays(self, pixels: Array) -> Array:
-        """Unit vectors (…, 3) of pixels (…, 2)."""
-        flat = (pixels - np.array(self.middle)) / self.focal_px
-        radius = np.linalg.norm(flat, axis=-1)
-        angle = radius.copy()
-        for _ in range(_NEWTON_STEPS):
-            error = angle + self.bulge * angle**3 - radius
-            angle -= error / np.maximum(1 + 3 * self.bulge * angle**2, 0.1)
-        share = np.where(radius > 0, np.sin(angle) / np.maximum(radius, 1e-12), 1.0)
-        return np.concatenate([flat * share[..., None], np.cos(angle)[..., None]], axis=-1)
+def _rays(lens: CameraModel, pixels: Array) -> Array:
+    """Unit vectors (…, 3) of pixels (…, 2)."""
+    flat = lens.directions(pixels)
+    rays = np.concatenate([flat, np.ones((*flat.shape[:-1], 1))], axis=-1)
+    return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
 
 
 class _Sheet(Struct, frozen=True, eq=False):
@@ -194,12 +173,12 @@ class _Sheet(Struct, frozen=True, eq=False):
         return eye[:2] + way[..., None] * along[..., :2], np.asarray(way > 0)
 
 
-def _placed(face: Face, kind: Kind, lens: WorldLens, random: _Random) -> _Sheet:
+def _placed(face: Face, kind: Kind, lens: CameraModel, random: _Random) -> _Sheet:
     """A face somewhere in view, its squares of 10 to 40 pixels or so, turned any way."""
     pixel = random.uniform(0.15, 0.85, 2) * kind.size
-    ray = lens.rays(pixel)
+    ray = _rays(lens, pixel)
     most_px = 0.7 * min(kind.size) / face.rows
-    distance = lens.focal_px * face.square / random.uniform(10.0, max(14.0, min(40.0, most_px)))
+    distance = lens.fx * face.square / random.uniform(10.0, max(14.0, min(40.0, most_px)))
     # Its front to the camera, but for a tilt about an axis in its plane, and turned in that.
     towards = _towards(ray)
     tilt = np.radians(random.uniform(0, 50)) * _unit(random.normal(size=2))
@@ -243,7 +222,7 @@ def _behind(size: tuple[int, int], random: _Random) -> np.ndarray:
     return cv2.resize(cut, size).astype(np.float32)
 
 
-def _box(sheet: _Sheet, lens: WorldLens) -> tuple[int, int, int, int]:
+def _box(sheet: _Sheet, lens: CameraModel) -> tuple[int, int, int, int]:
     """Left, top, right and bottom of the part of the picture that has the sheet."""
     face = sheet.face
     x, y = (face.square * np.linspace(-2.2, n + 0.2, 40) for n in (face.columns, face.rows))
@@ -251,7 +230,7 @@ def _box(sheet: _Sheet, lens: WorldLens) -> tuple[int, int, int, int]:
     pixels = lens.project(sheet.in_camera(rim))
     low, high = pixels.min(axis=0) - _MARGIN_PX, pixels.max(axis=0) + _MARGIN_PX
     left, top = np.clip(low.astype(int), 0, None).tolist()
-    right, bottom = np.clip(high.astype(int), None, lens.size).tolist()
+    right, bottom = np.clip(high.astype(int), None, (lens.width, lens.height)).tolist()
     return left, top, right, bottom
 
 
@@ -259,7 +238,7 @@ def _drawn(
     behind: np.ndarray,
     first: tuple[int, int],
     sheet: _Sheet,
-    lens: WorldLens,
+    lens: CameraModel,
     kind: Kind,
     random: _Random,
 ) -> np.ndarray:
@@ -271,7 +250,7 @@ def _drawn(
         (np.arange(n) + 0.5) / _FINE - 0.5 + start
         for n, start in zip((width, height), first, strict=True)
     )
-    rays = lens.rays(np.stack(np.meshgrid(x, y), axis=-1))
+    rays = _rays(lens, np.stack(np.meshgrid(x, y), axis=-1))
     points, is_before = sheet.met_by(rays)
     printed = texture(sheet.face, _TEXELS)
     texels = points.reshape(-1, 2) @ printed.matrix[:2, :2].T + printed.matrix[:2, 2]

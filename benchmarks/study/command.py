@@ -1,6 +1,5 @@
 """`python -m benchmarks study run|report|sessions|write`"""
 
-import os
 from pathlib import Path
 from typing import Annotated
 
@@ -12,9 +11,8 @@ from benchmarks.compositions.session import composed_session
 from trigpoint.base.errors import TrigpointError
 
 from .report import line_of, write_compositions, write_situations
-from .result import Result
 from .situations import SITUATIONS
-from .store import ESTIMATORS, Job, Store, jobs_of, open_jobs
+from .store import ESTIMATORS, Store, jobs_of, open_jobs
 from .store import run as run_jobs
 
 FOLDER = Path("out/study")
@@ -47,23 +45,19 @@ def run(
     seeds: _Seeds = "100",
     estimators: Annotated[str, typer.Option(help="Some of smoother,particle,ekf.")] = "smoother",
     processes: Annotated[int, typer.Option(min=1)] = 2,
-    limit: Annotated[float, typer.Option(min=1, help="Seconds of a composition.")] = 120.0,
+    limit: Annotated[float, typer.Option(min=1, help="Seconds of work on a session.")] = 120.0,
     folder: _Folder = FOLDER,
 ) -> None:
     """Work out the sessions that are not in the folder yet; it may be interrupted at any time."""
-    # A process of its own for each session leaves nothing for the linear algebra's threads.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     store, chosen = Store(folder), tuple(estimators.split(","))
     if unknown := [name for name in chosen if name not in ESTIMATORS]:
         raise typer.BadParameter(f"no estimator «{unknown[0]}»; choose of {', '.join(ESTIMATORS)}")
     jobs = open_jobs(store, jobs_of(_checked(names or ["situations"]), _range(seeds), chosen))
     typer.echo(f"{len(jobs)} sessions to work out, {processes} at a time", err=True)
-    is_bad = False
-    for count, (job, found) in enumerate(
-        run_jobs(store, jobs, processes=processes, limit_s=limit), start=1
-    ):
-        is_bad |= isinstance(found, BaseException) or found.is_bad
-        typer.echo(f"{count}/{len(jobs)} {_said(job, found)}", err=True)
+    is_bad, found = False, run_jobs(store, jobs, processes=processes, limit_s=limit)
+    for count, result in enumerate(found, start=1):
+        is_bad |= result.is_bad
+        typer.echo(f"{count}/{len(jobs)} {line_of(result)}", err=True)
     if is_bad:
         typer.echo("some sessions have no result or a wrong one; see above", err=True)
         raise typer.Exit(1)
@@ -122,9 +116,3 @@ def _range(text: str) -> range:
     if not first.isdigit() or (separator and not last.isdigit()):
         raise typer.BadParameter(f"«{text}» are no seeds; write 40, or FIRST:LAST as in 1:40")
     return range(int(first), int(last) + 1) if separator else range(int(first))
-
-
-def _said(job: Job, found: Result | BaseException) -> str:
-    if isinstance(found, Result):
-        return line_of(found)
-    return f"{job.session} {job.seed} {job.estimator}: {type(found).__name__}: {found}"

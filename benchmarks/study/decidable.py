@@ -9,7 +9,8 @@ camera elsewhere. A bound that takes the moment and the robots as known does not
 here.
 """
 
-from itertools import combinations, pairwise, product
+from collections.abc import Iterator
+from itertools import chain, combinations, pairwise, product
 
 import numpy as np
 from msgspec.structs import replace
@@ -34,22 +35,20 @@ _TOLERANCE = 1e-3
 def left_open(data: DataSet, oracle: Oracle) -> set[str]:
     """The cameras that stand elsewhere in another explanation of all pictures, where χ² tells that
     from the truth by less than 25; arguments as `cramer_rao`'s."""
-    return _by_lifts(data, oracle) | _by_robots(data, oracle)
-
-
-def _by_lifts(data: DataSet, oracle: Oracle) -> set[str]:
-    """Those that do if a robot was lifted at another moment."""
-    lifts = [(robot, number) for robot, at in oracle.lifted_ns.items() for number in range(len(at))]
-    if not lifts:
-        return set()
-    truth = _solved(data, oracle)
-    found: set[str] = set()
-    for robot, number in lifts:
-        for moment_ns in _moments(oracle, robot):
-            rival = _solved(data, _lifted_at(data, oracle, robot, number, moment_ns))
-            if rival.cost - truth.cost < DECISIVE:
-                found |= _elsewhere(truth, rival)
+    truth, found = None, set[str]()
+    for rival in chain(_by_lifts(data, oracle), _by_robots(data, oracle)):
+        truth, other = truth or _solved(data, oracle), _solved(data, rival)
+        if other.cost - truth.cost < DECISIVE:
+            found |= _elsewhere(truth, other)
     return found
+
+
+def _by_lifts(data: DataSet, oracle: Oracle) -> Iterator[Oracle]:
+    """Those in which a robot was lifted at another moment."""
+    for robot, lifts in oracle.lifted_ns.items():
+        for number in range(len(lifts)):
+            for moment_ns in _moments(oracle, robot):
+                yield _lifted_at(data, oracle, robot, number, moment_ns)
 
 
 def _solved(data: DataSet, oracle: Oracle) -> Solution:
@@ -116,28 +115,16 @@ def _elsewhere(truth: Solution, rival: Solution) -> set[str]:
     }
 
 
-def _by_robots(data: DataSet, oracle: Oracle) -> set[str]:
-    """Those of which other robots with the same target, one a visit, explain all pictures with the
-    camera elsewhere; alone, or two such cameras together."""
-    if not any(_look_alikes(data, robot) for robot in data.targets):
-        return set()
+def _by_robots(data: DataSet, oracle: Oracle) -> Iterator[Oracle]:
+    """Those in which a camera is elsewhere, and other robots with the same target, one a visit, are
+    what it saw; or two such cameras together."""
     cameras = dict.fromkeys(seen.camera for seen, _ in oracle.places)
-    every = {c: _rivals(data, oracle, c) for c in cameras if c not in data.known.poses}
-    rivals = {camera: found for camera, found in every.items() if found}
-    if not rivals:
-        return set()
-    truth, is_open = _solved(data, oracle).cost, set[str]()
-    for camera, found in rivals.items():
-        if any(_solved(data, rival).cost - truth < DECISIVE for rival in found):
-            is_open.add(camera)
+    alone = {c: _rivals(data, oracle, c) for c in cameras if c not in data.known.poses}
+    rivals = {camera: found for camera, found in alone.items() if found}
+    yield from chain.from_iterable(rivals.values())
     for first, second in combinations(rivals, 2):
-        if not {first, second} <= is_open and any(
-            _solved(data, rival).cost - truth < DECISIVE
-            for one in rivals[first]
-            for rival in _rivals(data, one, second, as_in=oracle)
-        ):
-            is_open |= {first, second}
-    return is_open
+        for one in rivals[first]:
+            yield from _rivals(data, one, second, as_in=oracle)
 
 
 def _rivals(

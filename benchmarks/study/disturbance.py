@@ -102,15 +102,9 @@ def _scattered(world: World, robot: SimulatedRobot, times_s: list[np.ndarray]) -
     poses, first = [], 0
     # Whoever lifts it puts it down where its plan is, whatever it has drifted.
     for end in [*np.searchsorted(stamps_s, lifts_s).tolist(), len(stamps_s)]:
-        start = robot.planned(stamps_s[first])
-        part = chained(start, steps[first : end - 1])
-        poses.append(part)
+        poses.append(chained(robot.planned(stamps_s[first]), steps[first : end - 1]))
         first = end
-    way = Pose(
-        np.concatenate([pose.rotation for pose in poses]),
-        np.concatenate([pose.translation for pose in poses]),
-    )
-    return replace(robot, way=Way(stamps_s, way, scale_errors))
+    return replace(robot, way=Way(stamps_s, Pose.joined(poses), scale_errors))
 
 
 def _camera(world: World, camera: SimulatedCamera, disturbance: Disturbance) -> SimulatedCamera:

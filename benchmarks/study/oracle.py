@@ -85,7 +85,7 @@ def _cameras(session: Simulated) -> dict[str, CameraState]:
 
 def _places(data: DataSet, session: Simulated) -> list[tuple[Observation, Pose]]:
     """Every observation that has a good corner, as it is to be read, where the robot stood."""
-    observations, stamps = [], []
+    places = []
     for (camera, stamp_ns), faces in session.sighted.items():
         true_ns = stamp_ns - to_ns(session.world.cameras[camera].time_offset_s)
         for robot in data.targets:
@@ -97,12 +97,9 @@ def _places(data: DataSet, session: Simulated) -> list[tuple[Observation, Pose]]
                 name = _as_it_hung(session, camera, true_ns)
                 observation = _observation(data, name, stamp_ns, shown)
                 # A rolling shutter sees it a little before or after the picture's stamp.
-                observations.append(observation)
-                stamps.append(true_ns + observation.stamp_ns - stamp_ns)
-    places = []
-    for observation, true_ns in zip(observations, stamps, strict=True):
-        pose = session.map_from_base(observation.robot, np.array([true_ns]))[0]
-        places.append((observation, pose))
+                seen_ns = true_ns + observation.stamp_ns - stamp_ns
+                pose = session.map_from_base(robot, np.array([seen_ns]))[0]
+                places.append((observation, pose))
     return places
 
 

@@ -14,11 +14,11 @@ from benchmarks.compositions.recipe import KINDS
 from benchmarks.report import machine
 
 from .result import Outcome, Result, Verdict
-from .score import GOAL_S, GOAL_SHARE
 from .situations import SITUATIONS
 from .store import ESTIMATORS
 
 BEGIN, END = "<!-- what the study found -->", "<!-- end of what it found -->"
+GOAL_S, GOAL_SHARE = 10.0, 0.1  # of processor time: so much, and a share of the session's length
 _COLUMNS = (
     "sessions | error / bound | error / own | distance, bound (cm) | wrong | undetermined "
     "| time (s)"
@@ -86,7 +86,7 @@ def write_situations(results: _Found, docs: Path) -> Path:
         for name, found in results.items()
         if (those := [result for result in found if result.estimator == "smoother"])
     }
-    parts = _situations(of_smoother)
+    parts = [*_situations(of_smoother), *_to_look_at(of_smoother)]
     if "drive" in of_smoother:
         parts += [_distances(of_smoother["drive"])]
     return _written(docs / "accuracy.md", [*parts, *_estimators(results)])
@@ -95,10 +95,15 @@ def write_situations(results: _Found, docs: Path) -> Path:
 def write_compositions(scores: _Found, docs: Path) -> Path:
     """Put the compositions' tables into their page; return its path."""
     found = {kind: of_kind for kind, of_kind in scores.items() if of_kind}
-    bad = [score for of_kind in found.values() for score in of_kind if score.is_bad]
-    lines = ["Sessions to look at:\n", *(f"- {line_of(score)}" for score in bad), ""]
-    parts = [*_of_sessions(found), "", *_of_cameras(found), "", *(lines if bad else [])]
+    parts = [*_of_sessions(found), "", *_of_cameras(found), "", *_to_look_at(found)]
     return _written(docs / "compositions.md", parts)
+
+
+def _to_look_at(results: _Found) -> list[str]:
+    """A line of each session that has a false place, or no network."""
+    bad = [one for found in results.values() for one in found if one.is_bad]
+    lines = ["Sessions to look at:\n", *(f"- {line_of(one)}" for one in bad), ""]
+    return lines if bad else []
 
 
 def _written(path: Path, parts: Iterable[str]) -> Path:

@@ -42,7 +42,6 @@ class StudySession(Struct, frozen=True, eq=False):
 
     name: str
     seed: int
-    situation: Situation
     inputs: Inputs
     messages: list[tuple[str, Message]]
     simulated: Simulated
@@ -75,7 +74,7 @@ def simulated_session(name: str, seed: int, *, estimator: str = "smoother") -> S
     messages = session.messages
     if situation.is_in_order:
         messages = sorted(messages, key=_stamp)
-    return StudySession(name, seed, situation, inputs, messages, session)
+    return StudySession(name, seed, inputs, messages, session)
 
 
 def plain_inputs(world: World) -> Inputs:

@@ -5,24 +5,26 @@ A line holds the fingerprint of the sources that made it; those of other sources
 """
 
 import hashlib
-import multiprocessing
+import signal
 from collections.abc import Iterator
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from functools import cache
 from pathlib import Path
 
 import msgspec
-from msgspec import Struct
+from msgspec.structs import replace
 
-from benchmarks.compositions.recipe import KINDS
+from benchmarks.timing import ended
 
-from .measure import measured
-from .result import Result
-from .score import scored
+from .result import Outcome, Result
+from .work import Job, last_line
 
 ESTIMATORS = ("smoother", "particle", "ekf")
 COMPARED = ("drive", "one_picture", "dance", "revisit", "alike")
 """Situations whose sessions all estimators work out."""
+# By the clock, on a busy machine: for a program's start and a session's drawing; and in multiples
+# of the processor time that is allowed.
+_DRAWN_S, _PATIENCE = 300.0, 8.0
 _ROOT = Path(__file__).parents[2]
 _SOURCES = (
     "trigpoint/geometry",
@@ -80,20 +82,6 @@ class Store:
         return self.folder / f"{name}.jsonl"
 
 
-class Job(Struct, frozen=True):
-    """One session of a situation, or of a kind of composition."""
-
-    session: str
-    seed: int
-    estimator: str = "smoother"
-
-    def result(self, limit_s: float) -> Result:
-        """Draw it, work it out and judge it; `limit_s`: processor time of a composition."""
-        if self.session in KINDS:
-            return scored(self.session, self.seed, limit_s=limit_s)
-        return measured(self.session, self.seed, estimator=self.estimator)
-
-
 def jobs_of(names: list[str], seeds: range, estimators: tuple[str, ...]) -> list[Job]:
     """Every session, seed by seed, so that a study that is cut short has some of each."""
     return [
@@ -115,16 +103,30 @@ def open_jobs(store: Store, jobs: list[Job]) -> list[Job]:
     return [job for job in jobs if job not in known]
 
 
-def run(
-    store: Store, jobs: list[Job], *, processes: int, limit_s: float
-) -> Iterator[tuple[Job, Result | BaseException]]:
-    """Work the jobs out and keep each result as it comes; say it, or why there is none."""
-    # Forked processes would share the state of the linear algebra's threads.
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(processes, mp_context=context) as pool:
-        futures: dict[Future[Result], Job] = {pool.submit(job.result, limit_s): job for job in jobs}
-        for future in as_completed(futures):
-            reason = future.exception()
-            if reason is None:
+def run(store: Store, jobs: list[Job], *, processes: int, limit_s: float) -> Iterator[Result]:
+    """Work the jobs out, so many at a time, and keep each result as it comes."""
+    with ThreadPoolExecutor(processes) as threads:
+        futures = [threads.submit(bounded, job, limit_s) for job in jobs]
+        try:
+            for future in as_completed(futures):
                 store.add(future.result())
-            yield futures[future], reason or future.result()
+                yield future.result()
+        finally:
+            threads.shutdown(cancel_futures=True)
+
+
+def bounded(job: Job, limit_s: float) -> Result:
+    """The result by a process of the job's own, within a limit of processor time."""
+    words = (job.session, str(job.seed), job.estimator, str(limit_s))
+    # Sessions are worked out side by side, and leave nothing for linear algebra's threads.
+    one = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    module, most_s = "benchmarks.study.work", _DRAWN_S + _PATIENCE * limit_s
+    status, told, said = ended(module, *words, environment=one, most_s=most_s)
+    results = [msgspec.json.decode(line, type=Result) for line in told.splitlines()]
+    if status == 0:
+        return results[-1]
+    blank = results[0] if results else Result(job.session, job.seed, 0.0, estimator=job.estimator)
+    if status == -signal.SIGPROF:
+        return replace(blank, outcome=Outcome.LATE, seconds=limit_s)
+    why = f"exit {status}: {last_line(said)}"[:160]
+    return replace(blank, outcome=Outcome.FAILED, why=why)

@@ -35,11 +35,7 @@ class Ground(Struct, frozen=True):
     @classmethod
     def of(cls, world: GuidanceWorld) -> "Ground":
         driven = np.concatenate([np.zeros((0, 2)), *(_dense(w) for w in world.ways.values())])
-        poses = Pose(
-            np.concatenate([np.zeros((0, 3, 3)), *(w.rotation for w in world.ways.values())]),
-            np.concatenate([np.zeros((0, 3)), *(w.translation for w in world.ways.values())]),
-        )
-        return cls(_squares(driven), poses)
+        return cls(_squares(driven), Pose.joined(world.ways.values()))
 
     @property
     def places(self) -> Array:

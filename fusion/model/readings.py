@@ -35,11 +35,7 @@ class Readings(Struct, frozen=True):
     @classmethod
     def joined(cls, some: "Sequence[Readings]") -> Self:
         """Some, one after the other."""
-        poses = [each.odom_from_base for each in some]
         return cls(
             np.concatenate([each.stamps_ns for each in some]),
-            Pose(
-                np.concatenate([pose.rotation for pose in poses]),
-                np.concatenate([pose.translation for pose in poses]),
-            ),
+            Pose.joined(each.odom_from_base for each in some),
         )

@@ -25,7 +25,7 @@ _PLAIN = Shape(0, (0, 0), is_alike=False)
 def _true_labels(session: SmallSession) -> tuple[tuple[tuple[int, bool] | None, ...], ...]:
     pictures = [p for of_camera in session.composition.pictures.values() for p in of_camera]
     return tuple(
-        tuple(None if f.is_displaced else (f.face, f.is_turned) for f in picture.faces)
+        tuple((f.face, f.is_turned) if f.is_good.any() else None for f in picture.faces)
         for picture in sorted(pictures, key=lambda picture: picture.t_s)
     )
 

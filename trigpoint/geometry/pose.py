@@ -48,6 +48,15 @@ class Pose(Struct, frozen=True, eq=False):
         )
 
     @classmethod
+    def joined(cls, parts: "Iterable[Pose]") -> Self:
+        """Poses (n), (m) and so on, one after the other; of no parts none."""
+        every = [cls.stack([]), *parts]
+        return cls(
+            np.concatenate([part.rotation for part in every]),
+            np.concatenate([part.translation for part in every]),
+        )
+
+    @classmethod
     def from_rows(cls, rows: Array) -> Self:
         """From `rows` (…, 12), as the compiled core writes them."""
         rotation = np.ascontiguousarray(rows[..., :9]).reshape(*rows.shape[:-1], 3, 3)

@@ -246,10 +246,7 @@ class Smoother(Live):
         every = [*self._past_paths[robot], *([recent] if recent is not None else [])]
         if len(every) < 2:
             return every[0] if every else None
-        poses = Pose(
-            np.concatenate([path.map_from_base.rotation for path in every]),
-            np.concatenate([path.map_from_base.translation for path in every]),
-        )
+        poses = Pose.joined(path.map_from_base for path in every)
         return Trajectory(np.concatenate([path.stamps_ns for path in every]), poses)
 
     def _recent_path(self, robot: str) -> Trajectory | None:

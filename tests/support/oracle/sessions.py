@@ -193,7 +193,8 @@ def _displaced(picture: Picture, recipe: Recipe, view: int) -> Picture:
     first, *others = picture.faces
     by = 15.0 * np.array([np.cos(angle), np.sin(angle)])
     pixels = (first.sighting.pixels + by).astype(np.float32)
-    wrong = replace(first, sighting=replace(first.sighting, pixels=pixels), is_displaced=True)
+    sighting, is_good = replace(first.sighting, pixels=pixels), np.zeros(len(pixels), dtype=bool)
+    wrong = replace(first, sighting=sighting, is_good=is_good)
     return replace(picture, faces=(wrong, *others))
 
 

@@ -60,7 +60,7 @@ def _errors(session: Composition, folder: Path) -> list[np.ndarray]:
         base = poses[int(np.searchsorted(stamps, true_ns))]
         for sighting in message.faces:
             shows = said[node].pop(0)
-            if not shows.is_good or shows.wild:
+            if not shows.is_good.all():
                 continue
             face = target.face(shows.face)
             points = base @ (face.base_from_face @ face.corners[sighting.corners])

@@ -4,13 +4,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from benchmarks.compositions.recipe import Recipe
 from benchmarks.compositions.session import Composition, session_of
 from benchmarks.study.report import line_of, write_compositions
 from benchmarks.study.result import Outcome, Result, Verdict
-from benchmarks.study.score import score_of, scored
 from benchmarks.study.store import Store
+from benchmarks.study.work import composition_case, found_in
 from trigpoint.geometry import Pose
 from trigpoint.map.network import (
     AlternativeRecord,
@@ -52,7 +53,13 @@ def _network(
 
 def _judged(folder: Path, session: Composition, errors: dict[str, np.ndarray]) -> Result:
     _network(folder, session, errors)
-    return score_of(session, folder, 0, 1.0, "")
+    return _found(folder, session)
+
+
+def _found(folder: Path, session: Composition, status: int = 0, said: str = "") -> Result:
+    """The result of what `calibrate` would have left in a folder."""
+    case = composition_case(session)
+    return replace(case, work=lambda: (1.0, found_in(folder, status, said))).result()
 
 
 def test_errors_of_a_sigma_are_honest_and_right(tmp_path: Path, session: Composition) -> None:
@@ -79,23 +86,16 @@ def test_a_camera_without_a_pose_that_names_the_true_place_has_it_among_its_alte
         for name, shift in (("c1", 0.0), ("c2", 3.0))
     }
     _network(tmp_path, session, {}, shifted)
-    score = score_of(session, tmp_path, 0, 1.0, "")
+    score = _found(tmp_path, session)
     assert [camera.among for camera in score.cameras] == [True, False, None]
 
 
 def test_a_session_without_a_network_has_failed_and_says_why(
     tmp_path: Path, session: Composition
 ) -> None:
-    score = score_of(session, tmp_path, 1, 1.0, "Traceback\nKeyError: 'c6'\n")
+    score = _found(tmp_path, session, 1, "Traceback\nKeyError: 'c6'\n")
     assert score.outcome is Outcome.FAILED
     assert score.why == "exit 1: KeyError: 'c6'"
-    assert score_of(session, tmp_path, None, 1.0, "").outcome is Outcome.LATE
-
-
-def test_calibrate_over_its_limit_is_late() -> None:
-    score = scored("drive-everything", 1, limit_s=1.0)
-    assert score.outcome is Outcome.LATE
-    assert score.is_bad
 
 
 def test_scores_are_kept_and_a_torn_line_is_passed_over(

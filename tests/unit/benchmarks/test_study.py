@@ -8,13 +8,13 @@ from msgspec.structs import replace
 from typer.testing import CliRunner
 
 from benchmarks.study.command import app
-from benchmarks.study.measure import measure_of
 from benchmarks.study.oracle import known_to_oracle
 from benchmarks.study.report import BEGIN, END, count_of, ratio_of, write_situations
-from benchmarks.study.result import Camera, Result, Verdict
-from benchmarks.study.session import StudySession, simulated_session, worked_out
+from benchmarks.study.result import Camera, Outcome, Result, Verdict
+from benchmarks.study.session import StudySession, simulated_session
 from benchmarks.study.situations import SITUATIONS
-from benchmarks.study.store import Job, Store, jobs_of, open_jobs
+from benchmarks.study.store import Store, bounded, jobs_of, open_jobs
+from benchmarks.study.work import Job, situation_case
 from trigpoint.fusion.solver.levenberg_marquardt import linearise, solve
 from trigpoint.tools.networks.cramer_rao import oracle_problem
 
@@ -54,7 +54,7 @@ def test_the_truth_costs_what_the_noise_is_worth(session: StudySession) -> None:
 
 
 def test_the_smoothers_errors_are_of_the_bounds_size(session: StudySession) -> None:
-    measure = measure_of(session, worked_out(session).results(), 0.0)
+    measure = situation_case(session).result()
     assert [c.name for c in measure.cameras] == sorted(session.simulated.cameras)
     assert all(camera.verdict is Verdict.RIGHT for camera in measure.cameras)
     assert measure.efficiency is not None
@@ -76,6 +76,16 @@ def test_every_situation_has_a_world(name: str) -> None:
 
     situation = SITUATIONS[name]
     assert world_of(situation.world, seed=0, target=situation.target).duration_s > 30
+
+
+def test_a_session_over_its_limit_is_late_and_one_that_ends_badly_has_failed() -> None:
+    late = bounded(Job("drive-everything", 1), 0.5)
+    assert late.outcome is Outcome.LATE
+    assert late.is_alike
+    assert {camera.verdict for camera in late.cameras} == {Verdict.UNKNOWN}
+    failed = bounded(Job("drive", 1, "none"), 60.0)
+    assert failed.outcome is Outcome.FAILED
+    assert "none" in failed.why
 
 
 def test_only_sessions_that_are_not_kept_yet_are_open(tmp_path: Path) -> None:

@@ -43,7 +43,7 @@ class Drawn:
         random = np.random.default_rng(seed)
         nodes = Pose.planar(np.arange(NODES) * 0.7, random.normal(0, 0.2, NODES), [0, 0.3, 0.9, 2])
         places = Pose.from_vector(random.normal(0, 1, (PLACES, 6)))
-        both = stacked(nodes, places)
+        both = Pose.joined([nodes, places])
         ends = np.array([[0, 4], [1, 5], [2, 4], [3, 5]])
         seen = both[ends[:, 0]].inverse() @ both[ends[:, 1]]
         square = random.normal(0, 1, (len(ends), 6 + OWN, 6 + OWN))
@@ -109,13 +109,6 @@ class Drawn:
             *(numbers(self.ties), self.tie_information, self.own, score),
         )
         return is_found, Pose(poses[:, :9].reshape(-1, 3, 3), poses[:, 9:]), values, score, factor
-
-
-def stacked(first: Pose, second: Pose) -> Pose:
-    return Pose(
-        np.concatenate([first.rotation, second.rotation]),
-        np.concatenate([first.translation, second.translation]),
-    )
 
 
 def numbers(poses: Pose) -> Array:

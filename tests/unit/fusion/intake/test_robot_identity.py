@@ -8,8 +8,7 @@ from msgspec.structs import replace
 
 from benchmarks.compositions.files import write_composition
 from benchmarks.compositions.session import composed_session
-from benchmarks.compositions.views import shifted
-from benchmarks.study.measure import GROSS
+from benchmarks.study.judge import GROSS
 from benchmarks.study.session import StudySession, simulated_session, worked_out
 from trigpoint.fusion.intake.robot_identity import RobotIdentification
 from trigpoint.fusion.model.observations import Observation
@@ -92,7 +91,7 @@ def test_a_face_that_two_robots_explain_is_not_told(
     monkeypatch.setattr(RobotIdentification, "ready", kept)
     fed(task.messages(), task.inputs, source=task.path).finish()
     true = {
-        (EPOCH_NS + shifted(picture, camera.time_offset_s), face.robot)
+        (EPOCH_NS + picture.stamp_ns(camera.time_offset_s), face.robot)
         for picture in alone.pictures["c7"]
         for face in picture.faces
     }

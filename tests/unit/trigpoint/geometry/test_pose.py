@@ -78,7 +78,10 @@ def test_poses_are_stacked_and_taken_apart() -> None:
     assert len(stacked) == 3
     assert len(poses[0]) == 1
     assert_close(stacked[1], poses[1])
-    assert len(Pose.stack([])) == 0
+    assert len(Pose.stack([])) == len(Pose.joined([])) == 0
+    joined = Pose.joined([stacked[:1], stacked[1:]])
+    assert_close(joined[2], poses[2])
+    assert len(joined) == 3
     np.testing.assert_allclose(
         (stacked @ stacked.inverse()).translation, np.zeros((3, 3)), atol=1e-15
     )

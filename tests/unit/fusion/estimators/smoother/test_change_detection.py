@@ -56,10 +56,7 @@ def with_lifted_robot(seed: int, at_s: float = 30.0) -> Session:
     session = make_session(lab(seed))
     way, step = session.truth["r1"], round(at_s / STEP_S)
     lifted = way[step] @ PUT_DOWN @ way[step].inverse() @ way[step:]
-    truth = Pose(
-        np.concatenate([way.rotation[:step], lifted.rotation]),
-        np.concatenate([way.translation[:step], lifted.translation]),
-    )
+    truth = Pose.joined([way[:step], lifted])
     messages: list[tuple[str, Sent]] = []
     messages += [(n, m) for n, m in session.messages if not isinstance(m, Sightings)]
     messages += pictures_of(session.plan, {"r1": truth})
