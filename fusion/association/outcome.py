@@ -147,10 +147,11 @@ class Outcome:
     def _camera(self, name: str) -> CameraState:
         """A camera, at any pose, with lens and clock as all visits that tie it say together; by
         the most informative one where none does."""
-        placed = self.chosen.placed
-        if placed is not None and name in placed.layout.own:
+        placed, seen = self.chosen.placed, self._seen(name)
+        is_tied = any(number in self.chosen.ties for number in seen)
+        if placed is not None and is_tied and name in placed.layout.own:
             return camera_with(self.data, name, placed.own(name))
-        modes = [self.best.visits[n].modes[self._mode_of(n)] for n in self._seen(name)]
+        modes = [self.best.visits[number].modes[self._mode_of(number)] for number in seen]
         return max(modes, key=lambda mode: float(np.linalg.slogdet(mode.information)[1])).camera
 
     def _seen(self, camera: str) -> list[int]:

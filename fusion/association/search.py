@@ -28,7 +28,7 @@ from .trail import Trail
 # in what happened.
 _WINDOW = 2 * window()
 _FAR_WINDOW = 6 * window()
-_MOST_HYPOTHESES = 64
+_MOST_HYPOTHESES = 128
 _MOST_FAR = 4
 _MOST_BREAKS = 3
 _MOST_PAIRS = 24

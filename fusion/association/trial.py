@@ -222,8 +222,7 @@ class Trial:
         if pictures.jitter is not None and pictures.jitter.length > 0:
             deviations = tables.problem[_DEVIATIONS]
             assert isinstance(deviations, np.ndarray)
-            variances = pictures.jitter.in_pictures(self.poses.translation)
-            deviations[:] = variances.reshape(deviations.shape)
+            deviations[:, :6] = pictures.jitter.among(self.poses.translation)
         self._score[:] = 0.0
         ending = _ROUND(*self.given(work, huber))
         self.poses = Pose.from_rows(self._state[3][tables.node_of])

@@ -36,11 +36,10 @@ struct Picture {
 
 // The normal equations of a picture, with the robot's deviation in it eliminated about its best
 // fit: what is left of a tilt has one sign in all pictures. That fit is by the picture's own
-// variances: a tilt that hundreds of pictures share counts in each as if it were by tens of
-// degrees, and about such a fit no step leads to the minimum. The derivatives are those at none:
-// what deviations explain then counts by a fixed covariance. At the fit they would be the cost's
-// own, which falls as a lever grows, and a target that is mounted unknown to 3 mm came out 12 mm
-// higher.
+// variances: a tilt that hundreds of pictures share counts in each as if it were of degrees, and
+// about such a fit hardly a step leads to the minimum. The derivatives are those at none: what
+// deviations explain then counts by a fixed covariance. At the fit they would be the cost's own,
+// which falls as a lever grows, and a target that is mounted unknown to 3 mm came out 12 mm higher.
 struct PictureEquations {
     Eigen::MatrixXd square;  // of the unknowns and, last, the residual
     double cost = 0, log_determinant = 0;
