@@ -95,7 +95,7 @@ class Placed(Struct, frozen=True):
         return Pose.from_rows(self.poses[self.layout.at[place]])
 
     def own(self, camera: str) -> Array:
-        """Return the values (o,) of a camera's own unknowns at the minimum; none if all is known."""
+        """Return the values (o,) of a camera's own unknowns at the minimum; none if known."""
         # They are the last of both.
         rows = self.layout.own.get(camera, np.arange(0))
         return self.values[rows - self.layout.size + len(self.values)]

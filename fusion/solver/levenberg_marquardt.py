@@ -3,6 +3,7 @@ compiled core."""
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 from numpy.linalg import LinAlgError
 
 from trigpoint.fusion.model.assembly import Assembled, assemble
@@ -17,6 +18,8 @@ _MOST_REBUILDS = 20
 # A rebuilt problem differs from the extrapolated one by the square of these.
 _SCALE_TOLERANCE = 1e-4
 _OFFSET_TOLERANCE_S = 1e-4
+# The predicted decrease of χ² at which a solution has begun.
+_ABOUT = 1.0
 _MINIMISED = Kernel(
     "tp_minimised",
     *(EquationsHandle, *STATE, *PROBLEM),
@@ -96,13 +99,23 @@ class Solved(Struct, frozen=True):
     iterations: int
 
 
-def solve_consistently(data: DataSet, state: State, used: list[int], *, tolerance: float) -> Solved:
+def begun(problem: Problem, start: State) -> State:
+    """The state of about least cost near `start` if no robot deviates from its nodes in pictures.
+    With deviations steps lead to the minimum from near alone (decisions/0672)."""
+    batches = tuple(replace(batch, jitter=None) for batch in problem.batches)
+    steady = replace(problem, batches=batches)
+    return minimise(steady, start, huber=np.inf, tolerance=_ABOUT, most_iterations=50).state
+
+
+def solve_consistently(
+    data: DataSet, state: State, used: list[int], *, tolerance: float, is_begun: bool = True
+) -> Solved:
     """Solve over these entries of the data set until the linearisation point is stable, and store
     the robots' poses in them. Nodes are at true times, which depend on the time offsets, and
     odometry between them is integrated with its scales; a problem has both to first order only, and
     is reassembled where they have changed. Ends too where two solves in a row did not converge:
-    more would take long, and hardly do."""
-    solved = _solve_once(data, state, used, tolerance)
+    more would take long, and hardly do. `is_begun`: the state comes from a solution."""
+    solved = _solve_once(data, state, used, tolerance, is_begun=is_begun)
     iterations = solved.iterations
     for _ in range(_MOST_REBUILDS):
         if _is_consistent(state, solved.state):
@@ -115,9 +128,14 @@ def solve_consistently(data: DataSet, state: State, used: list[int], *, toleranc
     return Solved(solved.state, solved.assembled, solved.solution, iterations)
 
 
-def _solve_once(data: DataSet, state: State, used: list[int], tolerance: float) -> Solved:
+def _solve_once(
+    data: DataSet, state: State, used: list[int], tolerance: float, *, is_begun: bool = True
+) -> Solved:
     assembled = assemble(data, state, used)
-    solution = solve(assembled.problem, assembled.start, tolerance=tolerance)
+    problem, start = assembled.problem, assembled.start
+    if not is_begun and any(batch.jitter is not None for batch in problem.batches):
+        start = begun(problem, start)
+    solution = solve(problem, start, tolerance=tolerance)
     found = solution.state
     for index, node in assembled.node_of.items():
         entry = data.entries[index]

@@ -83,7 +83,7 @@ def _solved(data: DataSet, state: State) -> tuple[State, Solved | None, int]:
         used = data.usable(state.cameras)
         if not used:
             return state, None, iterations
-        solved = solve_consistently(data, state, used, tolerance=_TOLERANCE)
+        solved = solve_consistently(data, state, used, tolerance=_TOLERANCE, is_begun=round_ > 0)
         state, iterations = solved.state, iterations + solved.iterations
         had_converged, has_converged = has_converged, solved.solution.has_converged
         if not (had_converged or has_converged):

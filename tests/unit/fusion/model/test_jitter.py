@@ -104,6 +104,13 @@ def test_pictures_that_share_a_tilt_weigh_together_as_one() -> None:
     np.testing.assert_allclose(weights[0, :3], weights[20, :3])  # a mast sways in each anew
 
 
+def test_pictures_have_the_variances_among_others_and_their_own() -> None:
+    places, jitter = np.zeros((20, 3)), Jitter(sway=0.1, tilt=0.4, length=1.0)
+    both = jitter.in_pictures(places)
+    np.testing.assert_array_equal(both[:, 0], jitter.among(places))
+    np.testing.assert_array_equal(both[:, 1], np.tile(jitter.variances, (20, 1)))
+
+
 def test_variance_of_a_mean_over_a_slope_is_that_by_its_correlation() -> None:
     """Over many lengths the mean of pictures is as good as those weights say."""
     along = np.linspace(0, 40, 2000)
