@@ -57,7 +57,8 @@ class Result(Struct, frozen=True):
     None where none is; `why` it failed; `rejected`: observations set aside.
 
     Of situations: `efficiency`: the same with the bound; `distance`, `distance_bound`: mean error
-    of the distances between cameras, metres, and what the bound expects of it.
+    of the distances between cameras, metres, and what the bound expects of it, None with fewer than
+    two located.
 
     Of compositions: `is_alike`, `is_mismatched`, `lifts`: as in the recipe; `lasts_s`: their
     length. Where a camera is wrong, `honesty` is None.

@@ -8,8 +8,16 @@ from msgspec.structs import replace
 from typer.testing import CliRunner
 
 from benchmarks.study.command import app
+from benchmarks.study.judge import judged
 from benchmarks.study.oracle import known_to_oracle
-from benchmarks.study.report import BEGIN, END, count_of, ratio_of, write_situations
+from benchmarks.study.report import (
+    BEGIN,
+    END,
+    count_of,
+    ratio_of,
+    write_compositions,
+    write_situations,
+)
 from benchmarks.study.result import Camera, Outcome, Result, Verdict
 from benchmarks.study.session import StudySession, simulated_session
 from benchmarks.study.situations import SITUATIONS
@@ -59,6 +67,18 @@ def test_the_smoothers_errors_are_of_the_bounds_size(session: StudySession) -> N
     assert all(camera.verdict is Verdict.RIGHT for camera in measure.cameras)
     assert measure.efficiency is not None
     assert 0.5 < measure.efficiency < 2.0  # 36 degrees of freedom: six sigmas
+
+
+def test_a_network_of_one_camera_has_no_distances(session: StudySession) -> None:
+    case = situation_case(session)
+    _, found = case.work()
+    assert not isinstance(found, str)
+    network, covariance = found
+    first = network.located[0]
+    alone = replace(network, cameras={first: network.cameras[first]})
+    measure = judged(case.blank, case.truth, alone, covariance[:6, :6])
+    assert measure.efficiency is not None
+    assert (measure.distance, measure.distance_bound) == (None, None)
 
 
 def test_a_session_is_the_same_for_the_same_seed_and_differs_for_another() -> None:
@@ -130,6 +150,24 @@ def test_the_report_shows_what_misses_its_goal(tmp_path: Path) -> None:
     lines = {line.split(" | ")[0]: line for line in text.splitlines() if line.startswith("| ")}
     assert "**" not in lines["| " + SITUATIONS["drive"].title]
     assert "**2.0" in lines["| " + SITUATIONS["wild"].title]
+
+
+def test_sessions_without_a_network_are_counted_and_averaged_over_nothing(tmp_path: Path) -> None:
+    done = [replace(RESULT, seed=seed) for seed in range(2)]
+    failed = Result("drive", 4, 0.0, outcome=Outcome.FAILED)
+    late = Result("wild", 5, 120.0, outcome=Outcome.LATE)
+    text = write_situations({"drive": [*done, failed], "wild": [late]}, tmp_path).read_text("utf-8")
+    cells = {line.split(" | ")[0]: line.split(" | ") for line in text.splitlines()}
+    drive, wild = (cells["| " + SITUATIONS[name].title] for name in ("drive", "wild"))
+    assert (drive[1], drive[4], drive[7]) == ("3, 1 without a network", "1.00, 1.00", "2.00 |")
+    assert (wild[1], wild[4], wild[7]) == ("1, 1 without a network", "–", "– |")
+    assert "a ratio of 1.000" in text
+    text = write_situations({"drive": [failed]}, tmp_path).read_text("utf-8")
+    assert "## Distances" not in text
+    path = write_compositions({"composition": [*done, failed], "space": [late]}, tmp_path)
+    ends = [line.split(" | ")[-1] for line in path.read_text("utf-8").splitlines()]
+    assert "2.0, 2.0 |" in ends
+    assert "– |" in ends
 
 
 def _cameras(*verdicts: Verdict) -> list[Camera]:
