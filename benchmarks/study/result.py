@@ -6,11 +6,13 @@ from msgspec import Struct, field
 
 
 class Outcome(StrEnum):
-    """Whether there is a network; LATE: over the limit of processor time."""
+    """Whether there is a network; LATE: over the limit of processor time; STOPPED: from outside or
+    by the clock, which says nothing of the session."""
 
     DONE = "done"
     LATE = "late"
     FAILED = "failed"
+    STOPPED = "stopped"
 
 
 class Verdict(StrEnum):

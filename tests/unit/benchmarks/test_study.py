@@ -1,7 +1,10 @@
 """Sessions of the study: what is wrong in them, what an oracle knows, and what is kept of them."""
 
+import signal
+import tempfile
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from msgspec.structs import replace
@@ -14,6 +17,7 @@ from benchmarks.study.report import (
     BEGIN,
     END,
     count_of,
+    line_of,
     ratio_of,
     write_compositions,
     write_situations,
@@ -21,8 +25,9 @@ from benchmarks.study.report import (
 from benchmarks.study.result import Camera, Outcome, Result, Verdict
 from benchmarks.study.session import StudySession, simulated_session
 from benchmarks.study.situations import SITUATIONS
-from benchmarks.study.store import Store, bounded, jobs_of, open_jobs
+from benchmarks.study.store import Store, bounded, jobs_of, open_jobs, run
 from benchmarks.study.work import Job, situation_case
+from benchmarks.timing import ended
 from trigpoint.fusion.solver.levenberg_marquardt import linearise, solve
 from trigpoint.tools.networks.cramer_rao import oracle_problem
 
@@ -98,14 +103,63 @@ def test_every_situation_has_a_world(name: str) -> None:
     assert world_of(situation.world, seed=0, target=situation.target).duration_s > 30
 
 
-def test_a_session_over_its_limit_is_late_and_one_that_ends_badly_has_failed() -> None:
+def test_a_session_over_its_limit_is_late_and_one_that_ends_badly_has_failed(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
     late = bounded(Job("drive-everything", 1), 0.5)
     assert late.outcome is Outcome.LATE
+    assert late.is_bad
+    assert not list(tmp_path.iterdir())
     assert late.is_alike
     assert {camera.verdict for camera in late.cameras} == {Verdict.UNKNOWN}
     failed = bounded(Job("drive", 1, "none"), 60.0)
     assert failed.outcome is Outcome.FAILED
+    assert failed.is_bad
     assert "none" in failed.why
+
+
+_LINE = msgspec.json.encode(RESULT) + b"\n"
+
+
+@pytest.mark.parametrize(
+    ("status", "told", "outcome"),
+    [
+        (0, _LINE * 2, Outcome.DONE),
+        (0, _LINE, Outcome.FAILED),
+        (0, _LINE + _LINE[:40], Outcome.FAILED),
+        (0, _LINE * 2 + b"a library's word\n", Outcome.FAILED),
+        (0, b"\xff\n" + _LINE * 2, Outcome.FAILED),
+        (0, _LINE.replace(b"drive", b"\xff") * 2, Outcome.FAILED),
+        (1, _LINE, Outcome.FAILED),
+        (-signal.SIGSEGV, _LINE, Outcome.FAILED),
+        (-signal.SIGABRT, _LINE, Outcome.FAILED),
+        (-signal.SIGPROF, _LINE + _LINE[:40], Outcome.LATE),
+        (-signal.SIGKILL, _LINE, Outcome.STOPPED),
+        (-signal.SIGTERM, b"", Outcome.STOPPED),
+        (None, _LINE, Outcome.STOPPED),
+    ],
+)
+def test_what_a_process_told_and_its_end_decide_what_is_kept(
+    status: int | None,
+    told: bytes,
+    outcome: Outcome,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    monkeypatch.setattr("benchmarks.study.store.ended", lambda *_, **__: (status, told, ""))
+    store, jobs = Store(tmp_path), [Job("drive", 3)]
+    [result] = run(store, jobs, processes=1, limit_s=1.0)
+    assert result.outcome is outcome
+    assert result.cameras == (RESULT.cameras if told.startswith(_LINE) else [])
+    assert result.is_bad is (outcome is not Outcome.DONE)
+    assert open_jobs(store, jobs) == (jobs if outcome is Outcome.STOPPED else [])
+    assert (outcome in line_of(result)) is (outcome is not Outcome.DONE)
+
+
+def test_a_program_over_its_time_by_the_clock_has_no_status() -> None:
+    assert ended("asyncio", environment={}, most_s=0.01)[0] is None
 
 
 def test_only_sessions_that_are_not_kept_yet_are_open(tmp_path: Path) -> None:
