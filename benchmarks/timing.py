@@ -1,7 +1,6 @@
 """Durations of jobs, measured in turns, so that other work on the machine meets all of them."""
 
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -41,10 +40,10 @@ def in_new_process(job: Callable[..., _Result], *arguments: object) -> _Result:
 
 def ended(
     module: str, *words: str, environment: Mapping[str, str], most_s: float, sent: bytes = b""
-) -> tuple[int, bytes, str]:
+) -> tuple[int | None, bytes, str]:
     """A module as a program that is `sent` its input: its exit status, output and what it says is
-    wrong. SIGPROF, by which a timer of its own ends it after so much processor time, is also the
-    status where it takes longer than `most_s` by the clock."""
+    wrong. The status is None where it is killed since it takes longer than `most_s` by the clock.
+    """
     try:
         child = subprocess.run(
             [sys.executable, "-m", module, *words],
@@ -55,7 +54,7 @@ def ended(
             check=False,
         )
     except subprocess.TimeoutExpired as late:
-        return -signal.SIGPROF, late.stdout or b"", ""
+        return None, late.stdout or b"", ""
     return child.returncode, child.stdout, child.stderr.decode(errors="replace")
 
 

@@ -66,7 +66,7 @@ def ran(work: Work, preload: Sequence[Path]) -> Ending:
     number = int(work.progress.read_bytes() or work.numbers.start)
     if status == 0:
         return Ending(number)
-    if status == -signal.SIGPROF:
+    if status in (-signal.SIGPROF, None):
         return Ending(number, f"took more than {work.most_s:.0f} s\n{words}")
     return Ending(number, words or f"ended by signal {-status}")
 

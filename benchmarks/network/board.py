@@ -11,6 +11,7 @@ import json
 import multiprocessing
 import os
 import socket
+import subprocess
 import tempfile
 import time
 import urllib.request
@@ -67,7 +68,7 @@ def main(
     with (
         tempfile.TemporaryDirectory() as folder,
         _site(Path(folder), cameras, robots) as path,
-        program("board", "--site", str(path), "--port", "0") as server,
+        program("board", "--site", str(path), "--port", "0", stdout=subprocess.PIPE) as server,
     ):
         assert server.stdout is not None
         address = server.stdout.readline().rpartition(" ")[2].strip()

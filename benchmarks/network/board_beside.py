@@ -113,15 +113,20 @@ def _stamp_ns(sample: RecordedSample) -> int:
 
 
 @contextmanager
-def program(*words: str) -> Iterator[subprocess.Popen[str]]:
-    """A command of ours inside the `with` block, at whose end it is stopped."""
+def program(*words: str, stdout: int = subprocess.DEVNULL) -> Iterator[subprocess.Popen[str]]:
+    """A command of ours inside the `with` block, at whose end it is stopped; `stdout`: a PIPE for
+    who reads it."""
     command = [sys.executable, "-u", "-m", "trigpoint", *words]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    try:
-        yield process
-    finally:
-        process.terminate()
-        process.communicate(timeout=_STOP_S)
+    with subprocess.Popen(command, stdout=stdout, text=True) as process:
+        try:
+            yield process
+        finally:
+            process.terminate()
+            try:
+                process.communicate(timeout=_STOP_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                raise
 
 
 def opened(address: str, *, held_bytes: int | None = None) -> socket.socket:

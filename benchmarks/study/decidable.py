@@ -36,19 +36,21 @@ def left_open(data: DataSet, oracle: Oracle) -> set[str]:
     """The cameras that stand elsewhere in another explanation of all pictures, where χ² tells that
     from the truth by less than 25; arguments as `cramer_rao`'s."""
     truth, found = None, set[str]()
-    for rival in chain(_by_lifts(data, oracle), _by_robots(data, oracle)):
+    for rival, candidates in chain(_by_lifts(data, oracle), _by_robots(data, oracle)):
+        if candidates <= found:
+            continue
         truth, other = truth or _solved(data, oracle), _solved(data, rival)
         if other.cost - truth.cost < DECISIVE:
-            found |= _elsewhere(truth, other)
+            found |= candidates & _elsewhere(truth, other)
     return found
 
 
-def _by_lifts(data: DataSet, oracle: Oracle) -> Iterator[Oracle]:
-    """Those in which a robot was lifted at another moment."""
+def _by_lifts(data: DataSet, oracle: Oracle) -> Iterator[tuple[Oracle, set[str]]]:
+    """Those in which a robot was lifted at another moment; any camera may be elsewhere then."""
     for robot, lifts in oracle.lifted_ns.items():
         for number in range(len(lifts)):
             for moment_ns in _moments(oracle, robot):
-                yield _lifted_at(data, oracle, robot, number, moment_ns)
+                yield _lifted_at(data, oracle, robot, number, moment_ns), set(oracle.cameras)
 
 
 def _solved(data: DataSet, oracle: Oracle) -> Solution:
@@ -115,16 +117,19 @@ def _elsewhere(truth: Solution, rival: Solution) -> set[str]:
     }
 
 
-def _by_robots(data: DataSet, oracle: Oracle) -> Iterator[Oracle]:
+def _by_robots(data: DataSet, oracle: Oracle) -> Iterator[tuple[Oracle, set[str]]]:
     """Those in which a camera is elsewhere, and other robots with the same target, one a visit, are
-    what it saw; or two such cameras together."""
+    what it saw; or two such cameras together. With these: all others may drift with what is
+    measured, but hang where they do."""
     cameras = dict.fromkeys(seen.camera for seen, _ in oracle.places)
     alone = {c: _rivals(data, oracle, c) for c in cameras if c not in data.known.poses}
     rivals = {camera: found for camera, found in alone.items() if found}
-    yield from chain.from_iterable(rivals.values())
+    for camera, those in rivals.items():
+        yield from ((rival, {camera}) for rival in those)
     for first, second in combinations(rivals, 2):
         for one in rivals[first]:
-            yield from _rivals(data, one, second, as_in=oracle)
+            for rival in _rivals(data, one, second, as_in=oracle):
+                yield rival, {first, second}
 
 
 def _rivals(

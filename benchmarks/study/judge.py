@@ -63,8 +63,8 @@ def judged(blank: Result, truth: Truth, network: Network, covariance: Array) -> 
     return replace(
         result,
         efficiency=_normalised(np.array(off), least.covariance) if located else None,
-        distance=error.distance or 0.0,
-        distance_bound=least.mean_distance_error,
+        distance=error.distance,
+        distance_bound=None if error.distance is None else least.mean_distance_error,
     )
 
 

@@ -88,7 +88,7 @@ def write_situations(results: _Found, docs: Path) -> Path:
     }
     parts = [*_situations(of_smoother), *_to_look_at(of_smoother)]
     if "drive" in of_smoother:
-        parts += [_distances(of_smoother["drive"])]
+        parts += _distances(of_smoother["drive"])
     return _written(docs / "accuracy.md", [*parts, *_estimators(results)])
 
 
@@ -146,14 +146,16 @@ def _cells(name: str, found: list[Result]) -> list[str]:
     """What some sessions of a situation come to, by `_COLUMNS`."""
     goal, left_open = SITUATIONS[name].goal, count_of(found, Verdict.LEFT_OPEN)
     missed = _bold_count(count_of(found, Verdict.MISSED))
+    distances, seconds = _distances_cm(found), _seconds(found)
+    without = len(found) - len(seconds)
     return [
-        str(len(found)),
+        str(len(found)) + (f", {without} without a network" if without else ""),
         _ratio(ratio_of(one.efficiency for one in found), 0.0, goal.efficiency),
         _ratio(ratio_of(one.honesty for one in found), *goal.honesty),
-        "{:.2f}, {:.2f}".format(*_distances_cm(found)),
+        "{:.2f}, {:.2f}".format(*distances) if distances else "–",
         _bold_count(count_of(found, Verdict.WRONG, Verdict.MADE_UP)),
         missed + (f", {left_open} rightly" if left_open else ""),
-        f"{np.mean([one.seconds for one in found]):.2f}",
+        f"{np.mean(seconds):.2f}" if seconds else "–",
     ]
 
 
@@ -165,20 +167,35 @@ def _ratio(ratio: Ratio, low: float, high: float) -> str:
     return text if is_met else f"**{text}**"
 
 
-def _distances_cm(found: list[Result]) -> tuple[float, float]:
-    """The mean error of distances, and what the bound expects."""
-    errors = [(one.distance or 0.0, one.distance_bound or 0.0) for one in found]
+def _seconds(found: list[Result]) -> list[float]:
+    """Of the sessions that have a network: the others ended, or were ended, on their way."""
+    return [one.seconds for one in found if one.outcome is Outcome.DONE]
+
+
+def _distances_cm(found: list[Result]) -> tuple[float, float] | None:
+    """The mean error of distances, and what the bound expects, over the sessions that have any;
+    None where none has."""
+    errors = [
+        (one.distance, one.distance_bound)
+        for one in found
+        if one.distance is not None and one.distance_bound is not None
+    ]
+    if not errors:
+        return None
     error, bound = 100 * np.mean(errors, axis=0)
     return float(error), float(bound)
 
 
-def _distances(found: list[Result]) -> str:
-    distance, bound = _distances_cm(found)
-    return (
+def _distances(found: list[Result]) -> list[str]:
+    if (distances := _distances_cm(found)) is None:
+        return []
+    distance, bound = distances
+    words = (
         f"## Distances\n\nIn the demo's lab the distances between cameras are off by "
         f"{distance:.2f} cm in the mean; the bound expects {bound:.2f} "
         f"cm, which is a ratio of {distance / bound:.3f}. The paper reached 2.11 cm.\n"
     )
+    return [words]
 
 
 def _estimators(results: _Found) -> list[str]:
@@ -207,7 +224,7 @@ def _of_sessions(scores: _Found) -> list[str]:
 
 
 def _session_cells(scores: list[Result]) -> list[str]:
-    seconds = [score.seconds for score in scores]
+    seconds = _seconds(scores)
     counts = [
         count_of(scores, Verdict.WRONG),
         sum(score.outcome is Outcome.LATE for score in scores),
@@ -218,7 +235,7 @@ def _session_cells(scores: list[Result]) -> list[str]:
         str(len(scores)),
         *map(_bold_count, counts),
         ratio_of([score.honesty for score in scores]).told(2),
-        f"{np.median(seconds):.1f}, {max(seconds):.1f}",
+        f"{np.median(seconds):.1f}, {max(seconds):.1f}" if seconds else "–",
     ]
 
 

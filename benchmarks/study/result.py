@@ -6,11 +6,13 @@ from msgspec import Struct, field
 
 
 class Outcome(StrEnum):
-    """Whether there is a network; LATE: over the limit of processor time."""
+    """Whether there is a network; LATE: over the limit of processor time; STOPPED: from outside or
+    by the clock, which says nothing of the session."""
 
     DONE = "done"
     LATE = "late"
     FAILED = "failed"
+    STOPPED = "stopped"
 
 
 class Verdict(StrEnum):
@@ -57,7 +59,8 @@ class Result(Struct, frozen=True):
     None where none is; `why` it failed; `rejected`: observations set aside.
 
     Of situations: `efficiency`: the same with the bound; `distance`, `distance_bound`: mean error
-    of the distances between cameras, metres, and what the bound expects of it.
+    of the distances between cameras, metres, and what the bound expects of it, None with fewer than
+    two located.
 
     Of compositions: `is_alike`, `is_mismatched`, `lifts`: as in the recipe; `lasts_s`: their
     length. Where a camera is wrong, `honesty` is None.

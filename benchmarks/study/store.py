@@ -8,8 +8,10 @@ import hashlib
 import signal
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import msgspec
 from msgspec.structs import replace
@@ -104,29 +106,45 @@ def open_jobs(store: Store, jobs: list[Job]) -> list[Job]:
 
 
 def run(store: Store, jobs: list[Job], *, processes: int, limit_s: float) -> Iterator[Result]:
-    """Work the jobs out, so many at a time, and keep each result as it comes."""
+    """Work the jobs out, so many at a time, and keep each result as it comes; not of those that
+    were stopped, which are tried again."""
     with ThreadPoolExecutor(processes) as threads:
         futures = [threads.submit(bounded, job, limit_s) for job in jobs]
         try:
             for future in as_completed(futures):
-                store.add(future.result())
-                yield future.result()
+                result = future.result()
+                if result.outcome is not Outcome.STOPPED:
+                    store.add(result)
+                yield result
         finally:
             threads.shutdown(cancel_futures=True)
 
 
 def bounded(job: Job, limit_s: float) -> Result:
-    """The result by a process of the job's own, within a limit of processor time."""
+    """The result by a process of the job's own, within a limit of processor time, and with a folder
+    for what it leaves behind."""
     words = (job.session, str(job.seed), job.estimator, str(limit_s))
     # Sessions are worked out side by side, and leave nothing for linear algebra's threads.
     one = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     module, most_s = "benchmarks.study.work", _DRAWN_S + _PATIENCE * limit_s
-    status, told, said = ended(module, *words, environment=one, most_s=most_s)
-    results = [msgspec.json.decode(line, type=Result) for line in told.splitlines()]
-    if status == 0:
-        return results[-1]
+    with TemporaryDirectory() as folder:
+        environment = {**one, "TMPDIR": folder}
+        status, told, said = ended(module, *words, environment=environment, most_s=most_s)
+    results = list(_results(told))
+    if status == 0 and told.count(b"\n") == len(results) == 2:
+        return results[1]
     blank = results[0] if results else Result(job.session, job.seed, 0.0, estimator=job.estimator)
     if status == -signal.SIGPROF:
         return replace(blank, outcome=Outcome.LATE, seconds=limit_s)
-    why = f"exit {status}: {last_line(said)}"[:160]
-    return replace(blank, outcome=Outcome.FAILED, why=why)
+    if status is None:
+        return replace(blank, outcome=Outcome.STOPPED, why=f"after {most_s:.0f} s by the clock")
+    is_its_own = status >= 0 or -status in (signal.SIGSEGV, signal.SIGABRT)
+    why = f"exit {status}: {last_line(said or told.decode(errors='replace'))}"[:160]
+    return replace(blank, outcome=Outcome.FAILED if is_its_own else Outcome.STOPPED, why=why)
+
+
+def _results(told: bytes) -> Iterator[Result]:
+    """Those that a process printed, up to the first line that is none: cut, or another's."""
+    with suppress(ValueError):  # msgspec's errors, and Unicode's
+        for line in told.splitlines():
+            yield msgspec.json.decode(line, type=Result)

@@ -66,11 +66,15 @@ def of_nested_lists(c: CameraModel, key: Callable[[str], str]) -> str:
     )
 
 
-def of_kalibr(c: CameraModel, _key: Callable[[str], str]) -> str:
+def of_kalibr(
+    c: CameraModel, _key: Callable[[str], str], *, coefficients: int | None = None
+) -> str:
+    """With the first coefficients of the distortion, or all; Kalibr itself has four."""
     name = {LensModel.PLUMB_BOB: "radtan"}.get(c.model, c.model.value)
+    distortion = _numbers(c.distortion[:coefficients])
     return (
         f"cam0:\n  camera_model: pinhole\n  intrinsics: [{_numbers(c.parameters[:4])}]\n"
-        f"  distortion_model: {name}\n  distortion_coeffs: [{_numbers(c.distortion)}]\n"
+        f"  distortion_model: {name}\n  distortion_coeffs: [{distortion}]\n"
         f"  resolution: [{c.width}, {c.height}]\n  rostopic: /front/image_raw\n"
     )
 
@@ -105,13 +109,14 @@ def of_orb_slam(c: CameraModel, _key: Callable[[str], str]) -> str:
     return f'%YAML:1.0\n\nCamera.type: "{kind}"\n{lines}{size}'
 
 
-def of_matlab(c: CameraModel, _key: Callable[[str], str]) -> str:
-    """`jsonencode(toStruct(cameraParams))`, whose first pixel is (1, 1)."""
+def of_matlab(c: CameraModel, _key: Callable[[str], str], *, radial: int = 3) -> str:
+    """`jsonencode(toStruct(cameraParams))`, whose first pixel is (1, 1), with two or three radial
+    coefficients."""
     k1, k2, p1, p2, k3 = c.distortion
     matrix = c.matrix + np.array([[0, 0, 1], [0, 0, 1], [0, 0, 0]])
     return json.dumps(
         {
-            "RadialDistortion": [k1, k2, k3],
+            "RadialDistortion": [k1, k2, k3][:radial],
             "TangentialDistortion": [p1, p2],
             "ImageSize": [c.height, c.width],
             "IntrinsicMatrix": matrix.T.tolist(),

@@ -136,6 +136,18 @@ def test_lens_of_any_dialect_is_the_same_lens(write, key, model, focal, coeffici
 
 
 @pytest.mark.parametrize(
+    ("text", "written"),
+    [
+        (of_kalibr(CAMERA, str, coefficients=4), ", 0.0001, 0]\n"),
+        (of_matlab(CAMERA, str, radial=2), '"RadialDistortion": [-0.3, 1e-05]'),
+    ],
+)
+def test_coefficients_that_a_program_does_not_write_are_zero(text: str, written: str) -> None:
+    assert written in text
+    assert parse_camera_info(text).parameters == pytest.approx(CAMERA.parameters)
+
+
+@pytest.mark.parametrize(
     ("text", "said"),
     [
         (

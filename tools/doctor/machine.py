@@ -101,7 +101,8 @@ def check_disk(directory: Path) -> Check:
     if not os.access(existing, os.W_OK):
         return Check("disk", "error", f"{existing} cannot be written", "choose another directory")
     level: Level = "ok" if free > 10 * _GIGABYTE else "warning" if free > _GIGABYTE else "error"
-    return Check("disk", level, text, "" if level == "ok" else "make room, or record elsewhere")
+    remedy = "make room, or set `directory` under [recorder] to another disk"
+    return Check("disk", level, text, "" if level == "ok" else remedy)
 
 
 def check_loopback(site: Site) -> Check:

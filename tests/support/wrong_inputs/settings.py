@@ -1,6 +1,7 @@
 """Site files and lens files that are not what the program reads."""
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -37,7 +38,8 @@ def _printed(lens: CameraModel) -> str:
     return f"mtx =\n{lens.matrix}\ndist =\n{np.array(lens.distortion)}\n"
 
 
-_DIALECTS = (of_opencv, of_kalibr, of_matlab)
+# With as many coefficients as these programs write unless told otherwise.
+_DIALECTS = (of_opencv, partial(of_kalibr, coefficients=4), partial(of_matlab, radial=2))
 
 
 def foreign_lens(folder: Path, random: np.random.Generator) -> Case:

@@ -2,12 +2,15 @@
 
 import json
 import math
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from benchmarks.fusion.corridor import Corridor
-from benchmarks.network import messages
+from benchmarks.network import board_beside, messages
 from benchmarks.report import machine, write_report
 from benchmarks.table import BENCHMARKS, Row, formatted
 from trigpoint.contract.messages import Odometry, Sightings
@@ -52,3 +55,26 @@ def test_a_robot_of_a_load_stands_where_it_arrived_and_is_seen_there() -> None:
     assert all((pose == poses[0]).all() for pose in poses)
     assert any(isinstance(m, Sightings) and m.faces for m in standing)
     assert corridor.measured_from_s == 87.5
+
+
+def test_a_program_beside_that_nobody_reads_has_no_pipe() -> None:
+    with board_beside.program("--version") as process:
+        assert process.stdout is None
+
+
+def test_a_program_beside_that_does_not_stop_is_killed(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    deaf = tmp_path / "deaf"
+    words = "signal.signal(signal.SIGTERM, signal.SIG_IGN); print('ready'); time.sleep(60)"
+    deaf.write_text(f"#!{sys.executable} -u\nimport signal, time; {words}\n", encoding="utf-8")
+    deaf.chmod(0o700)
+    monkeypatch.setattr(sys, "executable", str(deaf))
+    monkeypatch.setattr(board_beside, "_STOP_S", 0.1)
+    context = board_beside.program(stdout=subprocess.PIPE)
+    process = context.__enter__()
+    assert process.stdout is not None
+    assert process.stdout.readline() == "ready\n"
+    with pytest.raises(subprocess.TimeoutExpired):
+        context.__exit__(None, None, None)
+    assert process.returncode == -signal.SIGKILL

@@ -64,7 +64,9 @@ def test_full_disk_is_told(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, free: float, level: str
 ) -> None:
     monkeypatch.setattr(shutil, "disk_usage", lambda _: Usage(free))
-    assert check_disk(tmp_path / "not" / "yet" / "there").level == level
+    finding = check_disk(tmp_path / "not" / "yet" / "there")
+    assert finding.level == level
+    assert ("`directory` under [recorder]" in finding.remedy) is (level != "ok")
 
 
 def test_unreachable_meeting_point_of_the_site_is_an_error(free_port: Callable[[], int]) -> None:
