@@ -45,8 +45,8 @@ def test_visit_that_is_taken_to_be_wrong_explains_nothing(search: Search) -> Non
 
 def test_hypotheses_dropped_far_behind_what_is_known_cut_no_search(search: Search) -> None:
     own = Search(search.graph, Events(), Budget())
-    many = [Hypothesis(open={0: 0}, score=100.0) for _ in range(65)]
-    assert len(own._pruned(many, 100.0 - 2 * window())) == 64
+    many = [Hypothesis(open={0: 0}, score=100.0) for _ in range(129)]
+    assert len(own._pruned(many, 100.0 - 2 * window())) == 128
     assert not own.is_cut
     own._pruned(many, 100.0)
     assert own.is_cut
