@@ -29,6 +29,7 @@ from .second_look import take_back
 
 _MOST_ROUNDS = 6
 # Sightings taken back inform on their neighbours; what contradicts after that stays left out.
+# Shares near their limit of significance would change for ever.
 _MOST_LOOKS = 2
 # The predicted decrease of χ² at which a solution has converged: a hundredth of a sigma.
 _TOLERANCE = 1e-4
@@ -91,7 +92,7 @@ def _solved(data: DataSet, state: State) -> tuple[State, Solved | None, int]:
         changed = leave_out_contradicting(data, solved.assembled, state, events)
         if round_ < _MOST_LOOKS:
             changed |= take_back(data, solved.assembled, state, events)
-        changed |= standstill_noise.share_out(data, solved.assembled, state)
+            changed |= standstill_noise.share_out(data, solved.assembled, state)
         changed |= odometry_noise.learn(data, solved.assembled, state)
         if not changed:
             break
