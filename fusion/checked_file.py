@@ -1,8 +1,9 @@
 """Files that are replaced whole, with a head and a checksum."""
 
-import os
 import zlib
 from pathlib import Path
+
+from trigpoint.base.disk import replace_file
 
 _CHECK = 4  # bytes of the checksum
 
@@ -12,15 +13,10 @@ def save_checked(
 ) -> None:
     """Replace a file by a body in parts; a killed process leaves the one before. `is_synced`: only
     once the disk has it. Raises OSError where the disk does not take it."""
-    part, check = path.with_suffix(".part"), 0
+    check = 0
     for some in body:
         check = zlib.crc32(some, check)
-    with part.open("wb") as file:  # which takes what is large as it is
-        file.writelines((magic + check.to_bytes(_CHECK, "little"), *body))
-        if is_synced:
-            file.flush()
-            os.fsync(file.fileno())
-    part.replace(path)
+    replace_file(path, magic + check.to_bytes(_CHECK, "little"), *body, is_synced=is_synced)
 
 
 def checked_body(data: bytes, magic: bytes) -> bytes | None:

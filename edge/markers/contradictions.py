@@ -80,7 +80,7 @@ def contradictions(
     return Contradictions(*(len(set(which[is_so])) for is_so in (agrees, elsewhere, foreign)))
 
 
-@lru_cache(64)
+@lru_cache(1024)
 def _cells(board: MarkedBoard) -> tuple[Array, np.ndarray, np.ndarray, np.ndarray]:
     """Where markers could be on a board's grid and one place beyond, (n, 4, 2), clockwise from
     their top left; the number of the file's marker there, -1 where it has none; whether that is on

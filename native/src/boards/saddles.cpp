@@ -44,26 +44,10 @@ const Ring& ring() {
 // The values of a picture on a ring about a place, interpolated; beyond the edge as at the edge. As
 // `Picture::at`, sixteen at once.
 TRIGPOINT_WIDE
-void sample_ring(const float* __restrict picture, std::int32_t width, std::int32_t height, Place at,
-                 const Ring& around, float* __restrict seen) {
-    const auto right = static_cast<float>(width - 1), bottom = static_cast<float>(height - 1);
-    std::array<std::int32_t, SAMPLES> corner;
-    std::array<float, SAMPLES> across, down;
-    for (int k = 0; k < SAMPLES; ++k) {
-        float x = at.x + around.x[k], y = at.y + around.y[k];
-        x = x > 0 ? x : 0, y = y > 0 ? y : 0;
-        x = x < right ? x : right, y = y < bottom ? y : bottom;
-        auto left = static_cast<std::int32_t>(x), top = static_cast<std::int32_t>(y);
-        left = left < width - 2 ? left : width - 2, top = top < height - 2 ? top : height - 2;
-        across[k] = x - static_cast<float>(left), down[k] = y - static_cast<float>(top);
-        corner[k] = top * width + left;
-    }
-    for (int k = 0; k < SAMPLES; ++k) {
-        const float *above = picture + corner[k], *below = above + width;
-        const float upper = above[0] + across[k] * (above[1] - above[0]),
-                    lower = below[0] + across[k] * (below[1] - below[0]);
-        seen[k] = upper + down[k] * (lower - upper);
-    }
+void sample_ring(const Picture<float>& picture, Place at, const Ring& around, float* seen) {
+    std::array<float, SAMPLES> x, y;
+    for (int k = 0; k < SAMPLES; ++k) x[k] = at.x + around.x[k], y[k] = at.y + around.y[k];
+    sample_at_once<SAMPLES>(picture, x.data(), y.data(), SAMPLES, seen);
 }
 
 // The same mirrored at the edge, which stands once; for lengths above REACH.
@@ -276,8 +260,7 @@ bool Curvature::examine(Place place, float tolerance, Saddle& saddle) const {
     if (!(up > LEAST_RATIO * down && down > LEAST_RATIO * up)) return false;
 
     std::array<float, SAMPLES> seen;
-    sample_ring(smooth_.data(), static_cast<std::int32_t>(width_),
-                static_cast<std::int32_t>(height_), saddle.pixel, ring(), seen.data());
+    sample_ring({smooth_.data(), height_, width_}, saddle.pixel, ring(), seen.data());
     // Its even part is that which half a turn leaves; power by Parseval's theorem.
     std::array<float, HALF> even;
     float sum = 0, squares = 0, odd = 0, alternating = 0;

@@ -37,6 +37,35 @@ struct Picture {
 
 using Grey = Picture<std::uint8_t>;
 
+// The values at `count` places (x, y), MOST at most, as `Picture::at`; for loops that are compiled
+// for wider registers. The picture has two rows and columns or more, and less than 2³¹ pixels.
+template <int MOST, class T>
+inline __attribute__((always_inline)) void sample_at_once(const Picture<T>& picture,
+                                                          const float* __restrict xs,
+                                                          const float* __restrict ys, int count,
+                                                          float* __restrict values) {
+    const auto width = static_cast<std::int32_t>(picture.width),
+               height = static_cast<std::int32_t>(picture.height);
+    const auto right = static_cast<float>(width - 1), bottom = static_cast<float>(height - 1);
+    std::int32_t corner[MOST];
+    float across[MOST], down[MOST];
+    for (int k = 0; k < count; ++k) {
+        float x = xs[k] > 0 ? xs[k] : 0, y = ys[k] > 0 ? ys[k] : 0;
+        x = x < right ? x : right, y = y < bottom ? y : bottom;
+        auto left = static_cast<std::int32_t>(x), top = static_cast<std::int32_t>(y);
+        left = left < width - 2 ? left : width - 2, top = top < height - 2 ? top : height - 2;
+        across[k] = x - static_cast<float>(left), down[k] = y - static_cast<float>(top);
+        corner[k] = top * width + left;
+    }
+    for (int k = 0; k < count; ++k) {
+        const T *above = picture.data + corner[k], *below = above + width;
+        const auto first = static_cast<float>(above[0]), second = static_cast<float>(below[0]);
+        const float upper = first + across[k] * (static_cast<float>(above[1]) - first),
+                    lower = second + across[k] * (static_cast<float>(below[1]) - second);
+        values[k] = upper + down[k] * (lower - upper);
+    }
+}
+
 // The values of a picture of two rows and columns or more at many places (x, y), as `Picture::at`;
 // all of these are numbers.
 void sample(const Grey& grey, const float* x, const float* y, int count, float* values);

@@ -21,7 +21,10 @@ from trigpoint.fusion.association.events import Events
 from trigpoint.fusion.association.modes import ModeFinder
 from trigpoint.fusion.association.visits import visits_of
 from trigpoint.fusion.estimators.smoother.batch import BatchSolution
+from trigpoint.fusion.model.known_cameras import KnownCameras
 from trigpoint.fusion.pipeline import Inputs
+from trigpoint.geometry import Pose
+from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
 from trigpoint.map.network import Network
 from trigpoint.site.config import PriorConfig
@@ -118,3 +121,20 @@ def test_lens_to_solve_from_is_what_all_visits_say_together() -> None:
         single = [off(name, visit.modes[0].camera.lens.parameters) for visit in visits]
         assert len(single) > 2
         assert off(name, found.places[name, 0].lens.parameters) < min(single)
+
+
+def test_known_camera_that_nothing_ties_has_the_clock_of_its_visit() -> None:
+    """It hangs elsewhere since, and one visit shows where: what the site file says of its clock
+    alone, none, dated the move 0.12 s late."""
+    cameras = lab_cameras(3, more='intrinsics = "estimate"\ntime_offset_sigma = 0.2')
+    poses = {name: camera.map_from_camera for name, camera in cameras.items()}
+    turn = so3.exp(np.array([0.05, 0.04, 0.1]))
+    away = Pose(turn @ poses["c1"].rotation, poses["c1"].translation + np.array([0.3, -0.2, 0.15]))
+    cameras = {name: replace(camera, time_offset_s=0.12) for name, camera in cameras.items()}
+    cameras["c1"] = replace(cameras["c1"], map_from_camera=away)
+    robots = {"r1": RobotPlan(circle(), target_of("charuco"))}
+    session = make_session(Plan(cameras, robots, seconds=12.0, picture_rate=2.0, seed=1))
+    known = KnownCameras(poses, 1e8 * np.eye(18))
+    data = observed(replace(session, inputs=replace(session.inputs, known=known)))
+    found = explain(data, [entry.observation for entry in data.entries])
+    assert found.places["c1", 1].time_offset_s == pytest.approx(0.12, abs=0.02)
