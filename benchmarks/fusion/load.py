@@ -148,6 +148,7 @@ class Drive:
         self._storage = MapStorage(folder, inputs.site, SystemClock(), knows=lambda _: True)
         self.pipeline = Pipeline(inputs, is_live=False, solver=solver)
         self.pipeline.resumed(is_new=True)
+        self._past = self.pipeline.past
         self._now_s = self._from_s = 0.0
         self.span = self._begun()
         self._lately = self._begun()
@@ -208,7 +209,6 @@ class Drive:
     def _take(self, now_ns: int, turn: Turn) -> None:
         """Take what came until a moment of the session."""
         begin_s, kept = time.thread_time(), list[tuple[str, Input, bytes]]()
-        past = self.pipeline.past
         for node, message, type_name, payload in turn:
             if self.pipeline.push(node, cdr.decode(type_name, payload)):
                 kept.append((node, message, payload))
@@ -218,12 +218,13 @@ class Drive:
         for node, message, payload in kept:
             key = INPUT_TOPICS[type(message)].key(self._site, node)
             self._storage.store(key, payload, message)
-        self._storage.settle(self.pipeline.past)
+        past, self._past = self._past, self.pipeline.past
+        self._storage.settle(self._past)
         seen = sum(isinstance(one, Sightings) and bool(one.faces) for _, one, *_ in turn)
         for span in (self.span, self._lately):
             span.messages, span.spent_s = span.messages + len(turn), span.spent_s + took_s
             span.sightings += seen
-            span.pasts += self.pipeline.past is not past
+            span.pasts += self._past is not past
             span.pictures += sum(isinstance(message, Sightings) for _, message, *_ in turn)
             span.kept += sum(isinstance(message, Sightings) for _, message, _ in kept)
             if seen:
