@@ -147,7 +147,8 @@ def _at_once(whole: DataSet, near: list[Pose]) -> tuple[list[Pose], list[Array]]
         for name, pose in zip(whole.site.cameras, near, strict=True)
     }
     state = State(cameras, whole.first_state().robots)
-    solved = solve_consistently(whole, state, whole.usable(cameras), tolerance=1e-4)
+    solved = solve_consistently(whole, state, tolerance=1e-4)
+    assert solved is not None
     reduced = solved.solution.reduced
     joint, columns = reduced.covariance(), [reduced.layout.pose[name] for name in cameras]
     poses = [solved.state.cameras[name].map_from_camera for name in cameras]

@@ -34,8 +34,10 @@ class Jitter(Struct, frozen=True):
         together they are worth no more than one."""
         variances = np.tile(self.variances, (len(places), 1))
         if self.length > 0 and len(places) > 1:
-            some = places[thinned(len(places), _MOST_PLACES)]
-            apart = np.linalg.norm(places[:, None] - some, axis=-1)
+            centred = places - places.mean(axis=0)
+            some = centred[thinned(len(places), _MOST_PLACES)]
+            squares = np.sum(centred**2, axis=1)[:, None] + np.sum(some**2, axis=1)
+            apart = np.sqrt(np.maximum(squares - 2 * centred @ some.T, 0.0))
             alike = np.exp(-apart / self.length).mean(axis=1) * len(places)
             variances[:, 3:5] *= np.maximum(alike, 1.0)[:, None]
         return variances

@@ -10,6 +10,7 @@ from numpy.linalg import LinAlgError
 
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
+from trigpoint.geometry.samples import unique
 from trigpoint.native.library import In, Kernel, Out
 
 from .motion import Motion
@@ -28,7 +29,8 @@ _PICTURES = (
     In(_REAL, ("t", 6)),
     In(_REAL, ("n",)),
     In(np.int64, ("d",)),
-    *(int, int),
+    int,
+    In(np.int64, ("e",)),
 )
 _TERMS = Kernel(
     *("tp_corner_terms", *_PICTURES),
@@ -61,13 +63,15 @@ def batch_jacobian(problem: Problem, batch: Batch, state: State) -> tuple[Array,
 
 def picture_factor(problem: Problem, batch: Batch, state: State) -> tuple[Array, np.ndarray]:
     """The triangular factor (d + q + 1, d + q + 1) of one picture's equations of unit noise, in the
-    d components of its node, q dense unknowns and, last, the residual; and the columns (q,) of
-    those. What the robot deviates from its node in it is eliminated, about its best fit."""
-    columns = _dense_columns(problem, batch)
+    d components of its node, q dense unknowns, of the faces those that it shows, and, last, the
+    residual; and the columns (q,) of those. What the robot deviates from its node in it is
+    eliminated, about its best fit."""
+    faces = unique(batch.faces)
+    columns = _dense_columns(problem, batch, faces)
     size = len(problem.chains[batch.robot].tangent) + len(columns) + 1
     factor = np.empty((size, size))
     variances = np.empty(0) if batch.jitter is None else batch.jitter.reshape(-1)
-    _FACTOR(*_given(batch, state, problem), np.ascontiguousarray(variances), factor)
+    _FACTOR(*_given(batch, state, problem, faces), np.ascontiguousarray(variances), factor)
     return factor, columns
 
 
@@ -77,8 +81,9 @@ def base_jacobian(batch: Batch, state: State) -> Array:
     return _terms(batch, state, by_seen=True)[2]
 
 
-def _dense_columns(problem: Problem, batch: Batch) -> np.ndarray:
-    """The columns of a batch's Jacobian but for the node's, in the order of the core."""
+def _dense_columns(problem: Problem, batch: Batch, faces: np.ndarray | None = None) -> np.ndarray:
+    """The columns of a batch's Jacobian but for the node's, in the order of the core; `faces`: of
+    the robot's, where not all."""
     layout = problem.layout
     columns = [layout.pose[batch.camera]]
     if batch.camera in layout.lens:
@@ -86,7 +91,8 @@ def _dense_columns(problem: Problem, batch: Batch) -> np.ndarray:
     if batch.carried is not None:
         columns.append(layout.time_offset[batch.camera])
     if batch.robot in layout.faces:
-        columns.append(layout.faces[batch.robot])
+        mine = layout.faces[batch.robot].reshape(-1, 6)
+        columns.append((mine if faces is None else mine[faces]).reshape(-1))
     return np.concatenate(columns)
 
 
@@ -112,9 +118,15 @@ def _terms(
     )
 
 
-def _given(batch: Batch, state: State, problem: Problem | None) -> tuple[object, ...]:
-    """A batch at a state as the core takes it."""
+def _given(
+    batch: Batch, state: State, problem: Problem | None, faces: np.ndarray | None = None
+) -> tuple[object, ...]:
+    """A batch at a state as the core takes it; `faces`: see `_dense_columns`."""
     camera, robot = state.cameras[batch.camera], state.robots[batch.robot]
+    if problem is None or batch.robot not in problem.layout.faces:
+        faces = np.arange(0)
+    elif faces is None:
+        faces = np.arange(len(robot.base_from_face))
     node = robot.map_from_base[batch.nodes]
     seen, twists = node, _NO_TWISTS
     if batch.carried is not None:
@@ -128,7 +140,7 @@ def _given(batch: Batch, state: State, problem: Problem | None) -> tuple[object,
         np.ascontiguousarray(batch.since_epoch_s),
         np.array(() if problem is None else problem.chains[batch.robot].tangent, dtype=np.int64),
         problem is not None and batch.camera in problem.layout.lens,
-        problem is not None and batch.robot in problem.layout.faces,
+        faces,
     )
 
 

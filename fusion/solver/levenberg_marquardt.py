@@ -1,6 +1,8 @@
 """Solves the smoother's problem: Levenberg-Marquardt steps by elimination of the chains, in the
 compiled core."""
 
+from collections.abc import Callable
+
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
@@ -14,7 +16,7 @@ from trigpoint.native.library import Kernel, Out
 from .equations import EXACT, Equations, EquationsHandle, Reduced
 from .tables import PROBLEM, STATE, problem_tables, state_of, state_tables
 
-_MOST_REBUILDS = 20
+_MOST_SOLVES = 21
 # A rebuilt problem differs from the extrapolated one by the square of these.
 _SCALE_TOLERANCE = 1e-4
 _OFFSET_TOLERANCE_S = 1e-4
@@ -107,25 +109,41 @@ def begun(problem: Problem, start: State) -> State:
     return minimise(steady, start, huber=np.inf, tolerance=_ABOUT, most_iterations=50).state
 
 
+def _nothing(_: Solved) -> bool:
+    return False
+
+
 def solve_consistently(
-    data: DataSet, state: State, used: list[int], *, tolerance: float, is_begun: bool = True
-) -> Solved:
-    """Solve over these entries of the data set until the linearisation point is stable, and store
-    the robots' poses in them. Nodes are at true times, which depend on the time offsets, and
-    odometry between them is integrated with its scales; a problem has both to first order only, and
-    is reassembled where they have changed. Ends too where two solves in a row did not converge:
-    more would take long, and hardly do. `is_begun`: the state comes from a solution."""
-    solved = _solve_once(data, state, used, tolerance, is_begun=is_begun)
-    iterations = solved.iterations
-    for _ in range(_MOST_REBUILDS):
-        if _is_consistent(state, solved.state):
-            break
-        had_converged, state = solved.solution.has_converged, solved.state
-        solved = _solve_once(data, state, used, tolerance)
+    data: DataSet,
+    state: State,
+    *,
+    tolerance: float,
+    is_begun: bool = True,
+    changes: Callable[[Solved], bool] = _nothing,
+) -> Solved | None:
+    """Solve over what is usable of the data set until the linearisation point is stable, and store
+    the robots' poses in its entries; None where nothing is usable.
+
+    Nodes are at true times, which depend on the time offsets, and odometry between them is
+    integrated with its scales; a problem has both to first order only, and is reassembled where
+    they have changed, or where what a solution `changes` of the data calls for it. Ends too where
+    two solves in a row did not converge: more would take long, and hardly do. `is_begun`: the state
+    comes from a solution."""
+    solved, iterations, has_converged = None, 0, True
+    for _ in range(_MOST_SOLVES):
+        used = data.usable(state.cameras)
+        if not used:
+            return None
+        solved = _solve_once(data, state, used, tolerance, is_begun=is_begun)
         iterations += solved.iterations
-        if not (had_converged or solved.solution.has_converged):
+        had_converged, has_converged = has_converged, solved.solution.has_converged
+        if not (had_converged or has_converged):
             break
-    return Solved(solved.state, solved.assembled, solved.solution, iterations)
+        before, state, is_begun = state, solved.state, True
+        if not changes(solved) and _is_consistent(before, state):
+            break
+    assert solved is not None
+    return replace(solved, iterations=iterations)
 
 
 def _solve_once(

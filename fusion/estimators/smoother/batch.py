@@ -8,6 +8,8 @@ happened, the solver what follows from it:
 - in the data set's entries: verdicts, outliers, readings, shares, and where the robot stood.
 """
 
+from itertools import count
+
 import numpy as np
 
 from trigpoint.fusion.association.events import Events
@@ -27,7 +29,7 @@ from trigpoint.geometry.rotation import Array
 from . import odometry_noise, standstill_noise
 from .second_look import take_back
 
-_MOST_ROUNDS = 6
+_MOST_ROUNDS = 5
 # Sightings taken back inform on their neighbours; what contradicts after that stays left out.
 # Shares near their limit of significance would change for ever.
 _MOST_LOOKS = 2
@@ -58,50 +60,44 @@ class BatchSolution:
         """Solve to convergence by an explanation; return the filter at its end. Where that fails,
         nothing is changed."""
         draft, state = explained(self.data, explanation)
-        state, solved, iterations = _solved(draft, state)
+        solved = _solved(draft, state)
         if solved is None:
             after, problem, solution = Filter.at_origin(draft), None, None
         else:
             problem, solution = solved.assembled.problem, solved.solution
+            in_use = problem.layout.pose
+            cameras = {name: c for name, c in solved.state.cameras.items() if name in in_use}
+            state = State(cameras, solved.state.robots)
             after = Filter.after(state, problem, solution.reduced)
+            self.iterations += solved.iterations
         after = after.spread(left_open(state, explanation, Events(draft.site.fusion.priors)))
         after = after.spread(crept(draft, after))
         _say_earlier(draft, after)
         self.data.take_over(draft)
         self.state, self.problem, self.solution = state, problem, solution
         self.scales = _scales(state, after) if problem is not None else {}
-        self.iterations += iterations
         return after
 
 
-def _solved(data: DataSet, state: State) -> tuple[State, Solved | None, int]:
-    """Solve over what an explanation uses, until its noise is stable: the state, the last solution
-    (None where nothing is located), and the iterations that all took; raise ValueError where that
-    does not converge, at the latest after two rounds in a row that did not."""
-    events, solved, iterations = Events(data.site.fusion.priors), None, 0
-    has_converged = True
-    for round_ in range(_MOST_ROUNDS):
-        used = data.usable(state.cameras)
-        if not used:
-            return state, None, iterations
-        solved = solve_consistently(data, state, used, tolerance=_TOLERANCE, is_begun=round_ > 0)
-        state, iterations = solved.state, iterations + solved.iterations
-        had_converged, has_converged = has_converged, solved.solution.has_converged
-        if not (had_converged or has_converged):
-            break
-        changed = leave_out_contradicting(data, solved.assembled, state, events)
+def _solved(data: DataSet, state: State) -> Solved | None:
+    """Solve over what an explanation uses, until its noise is stable; None where nothing is
+    located. Raises ValueError where that does not converge."""
+    events, rounds = Events(data.site.fusion.priors), count()
+
+    def changes(solved: Solved) -> bool:
+        round_ = next(rounds)
+        if round_ >= _MOST_ROUNDS:
+            return False
+        changed = leave_out_contradicting(data, solved.assembled, solved.state, events)
         if round_ < _MOST_LOOKS:
-            changed |= take_back(data, solved.assembled, state, events)
-            changed |= standstill_noise.share_out(data, solved.assembled, state)
-        changed |= odometry_noise.learn(data, solved.assembled, state)
-        if not changed:
-            break
-    assert solved is not None
-    if not has_converged:
-        raise ValueError(f"the solution did not converge in {iterations} iterations")
-    in_use = solved.assembled.problem.layout.pose
-    cameras = {name: camera for name, camera in state.cameras.items() if name in in_use}
-    return State(cameras, state.robots), solved, iterations
+            changed |= take_back(data, solved.assembled, solved.state, events)
+            changed |= standstill_noise.share_out(data, solved.assembled, solved.state)
+        return odometry_noise.learn(data, solved.assembled, solved.state) or changed
+
+    solved = solve_consistently(data, state, tolerance=_TOLERANCE, is_begun=False, changes=changes)
+    if solved is not None and not solved.solution.has_converged:
+        raise ValueError(f"the solution did not converge in {solved.iterations} iterations")
+    return solved
 
 
 def _scales(state: State, after: Filter) -> dict[str, tuple[Array, Array]]:

@@ -41,7 +41,7 @@ struct Shared {
 
 Index Picture::columns() const {
     return tangent.count + 6 + (has_lens ? lens.parameters() : 0) + (twist != nullptr ? 2 : 0) +
-           (has_faces ? 6 * static_cast<Index>(faces.size()) : 0);
+           6 * static_cast<Index>(face_columns.size());
 }
 
 void Picture::terms(const Pose& robot, Eigen::Ref<Eigen::VectorXd> residual,
@@ -94,14 +94,19 @@ void Picture::terms(const Pose& robot, Eigen::Ref<Eigen::VectorXd> residual,
             by.col(next + 1) = by_time * since_epoch_s;
             next += 2;
         }
-        if (has_faces) {
-            by.rightCols(by.cols() - next).setZero();
-            by.middleCols<6>(next + 6 * face[k]) = by_disturbance(by_map * robot.rotation, in_face);
+        for (const Index which : face_columns) {
+            if (which == face[k])
+                by.middleCols<6>(next) = by_disturbance(by_map * robot.rotation, in_face);
+            else
+                by.middleCols<6>(next).setZero();
+            next += 6;
         }
     }
 }
 
-void PictureEquations::set(const Picture& picture, const double* variances, double huber) {
+void PictureEquations::set(Picture picture, const double* variances, double huber) {
+    // Tables pad pictures to the widest.
+    while (picture.corners > 0 && picture.weights[picture.corners - 1] == 0) --picture.corners;
     const Index count = 2 * picture.corners, columns = picture.columns();
     const bool is_shared = variances != nullptr;
     rows_.resize(count, columns + 1);  // the Jacobian, and the residual
@@ -172,8 +177,8 @@ namespace {
 
 // Pictures as Python has them: the lens (p,), the camera (1, 12), the nodes (n, 12), the robot as
 // it was seen (n, 12), base_from_face (f, 12), faces (n, k), points in them (n, k, 3), pixels (n,
-// k, 2), weights (n, k), twists (n or 0, 6), since the epoch (n,), tangent (d,), has a lens, has
-// faces.
+// k, 2), weights (n, k), twists (n or 0, 6), since the epoch (n,), tangent (d,), has a lens, faces
+// that have columns (e,).
 class Pictures {
 public:
     static constexpr int ARGUMENTS = 14;
@@ -182,7 +187,9 @@ public:
         : given_(given),
           count(given[8].array.shape[0]),
           corners(given[8].array.shape[1]),
-          tangent_(given[11].array.as<std::int64_t>(), given[11].array.shape[0]) {
+          tangent_(given[11].array.as<std::int64_t>(), given[11].array.shape[0]),
+          face_columns_(given[13].array.as<std::int64_t>(),
+                        given[13].array.as<std::int64_t>() + given[13].array.shape[0]) {
         const Index twists = given[9].array.shape[0];
         if (twists > 0 && twists != count)
             throw std::invalid_argument("not every picture has a twist");
@@ -199,7 +206,7 @@ public:
                 faces_,
                 tangent_,
                 given_[12].whole != 0,
-                given_[13].whole != 0,
+                face_columns_,
                 corners,
                 given_[5].array.as<std::int64_t>() + corners * n,
                 numbers(6) + 3 * corners * n,
@@ -216,6 +223,7 @@ public:
 
 private:
     Tangent tangent_;
+    std::vector<Index> face_columns_;
     std::vector<Pose> faces_;
 };
 

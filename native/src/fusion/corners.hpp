@@ -18,15 +18,16 @@ struct Picture {
     double since_epoch_s;
     const std::vector<Pose>& faces;
     Tangent tangent;
-    bool has_lens, has_faces;  // whether these are estimated
+    bool has_lens;                                  // whether it is estimated
+    const std::vector<Eigen::Index>& face_columns;  // those of which the poses are, in their order
     Eigen::Index corners;
     const std::int64_t* face;  // (k,)
     const double* points;      // (k, 3), in their faces
     const double* pixels;      // (k, 2)
     const double* weights;     // (k,)
 
-    // Of the node, 6 of the camera, p of its lens, 2 of its clock, 6 f of the faces, as far as they
-    // are estimated.
+    // Of the node, 6 of the camera, p of its lens, 2 of its clock, and 6 of each face that has
+    // columns, as far as they are estimated.
     Eigen::Index columns() const;
     // Residuals (2 k,) with the robot seen at a pose, their derivatives by the unknowns
     // (2 k, columns) and by that pose (2 k, 6), where these have rows. Throws std::out_of_range.
@@ -46,7 +47,7 @@ struct PictureEquations {
 
     // `variances` (12,) of the deviation, null where there is none: by which it counts, and then
     // those in this picture by itself; corners beyond `huber` sigmas have a linear cost.
-    void set(const Picture& picture, const double* variances, double huber);
+    void set(Picture picture, const double* variances, double huber);
     // The triangular factor (c, c) of the last picture's equations, of unit noise, in the unknowns
     // and, last, the residual: its squares add up to `square`.
     Eigen::MatrixXd factor() const;

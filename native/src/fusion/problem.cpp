@@ -43,7 +43,7 @@ Index taken(Index& next, std::int64_t count, Index all) {
 }
 
 // Puts ranges side by side, from `begin` on, without those of no columns.
-Ranges side_by_side(Index begin, std::initializer_list<Range> all) {
+Ranges side_by_side(Index begin, const Ranges& all) {
     Ranges found;
     for (Range range : all) {
         if (range.count == 0) continue;
@@ -117,7 +117,18 @@ void Problem::read_pictures() {
         require(picture[ROBOT] >= 0 && picture[ROBOT] < array(ROBOTS).shape[0]);
         require(picture[NODE] >= 0 && picture[NODE] < robots_[at(picture[ROBOT])].nodes);
         first_corner_.push_back(taken(corner, picture[CORNER_COUNT], array(POINTS).shape[0]));
+        face_columns_.push_back(faces_in(p));
     }
+}
+
+std::vector<Index> Problem::faces_in(Index picture) const {
+    const std::int64_t* const first = array(CORNER_FACES).as<std::int64_t>() + first_corner_.back();
+    const std::int64_t* const end = first + whole(PICTURES, picture)[CORNER_COUNT];
+    const Robot& robot = robots_[at(whole(PICTURES, picture)[ROBOT])];
+    std::vector<Index> found;
+    for (Index face = 0; face < robot.faces.count / 6; ++face)
+        if (std::find(first, end, face) != end) found.push_back(face);
+    return found;
 }
 
 void Problem::require_rows(int which, Index limit) const {
@@ -189,8 +200,10 @@ Ranges Problem::of_picture(Index index) const {
     const std::int64_t* picture = whole(PICTURES, index);
     const Camera& camera = cameras_[at(picture[CAMERA])];
     const Robot& robot = robots_[at(picture[ROBOT])];
-    Ranges found =
-        side_by_side(robot.tangent.count, {camera.pose, camera.lens, camera.clock, robot.faces});
+    Ranges columns{camera.pose, camera.lens, camera.clock};
+    for (const Index face : face_columns_[at(index)])
+        columns.push_back({robot.faces.first + 6 * face, 6, 0});
+    Ranges found = side_by_side(robot.tangent.count, columns);
     if (picture[NODE] + 1 == robot.nodes) found.push_back(robot.last);
     return found;
 }
@@ -294,9 +307,9 @@ std::vector<Index> Problem::rows_of(Index index) const {
     std::vector<Index> found;
     for (Index k = 0; k < d; ++k)
         found.push_back(node + 1 < robot.nodes ? d * node + k : dense + robot.last.first + k);
-    const Camera& camera = cameras_[at(whole(PICTURES, index)[CAMERA])];
-    for (const Range& range : {camera.pose, camera.lens, camera.clock, robot.faces})
-        for (Index k = 0; k < range.count; ++k) found.push_back(dense + range.first + k);
+    for (const Range& range : of_picture(index))
+        if (range.at >= d)  // not the node's own
+            for (Index k = 0; k < range.count; ++k) found.push_back(dense + range.first + k);
     return found;
 }
 
@@ -325,7 +338,7 @@ Picture Problem::picture(const State& state, Index p, const std::vector<Pose>& f
             faces,
             robot.tangent,
             camera.lens.count > 0,
-            robot.faces.count > 0,
+            face_columns_[at(p)],
             picture[CORNER_COUNT],
             array(CORNER_FACES).as<std::int64_t>() + corner,
             numbers(POINTS) + 3 * corner,

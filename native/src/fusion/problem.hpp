@@ -103,8 +103,9 @@ private:
     Index size_;
     std::vector<Camera> cameras_;
     std::vector<Robot> robots_;
-    std::vector<Index> first_corner_;  // of each picture
-    std::vector<AtMost6> white_;       // of each motion
+    std::vector<Index> first_corner_;               // of each picture
+    std::vector<std::vector<Index>> face_columns_;  // the estimated faces in each picture
+    std::vector<AtMost6> white_;                    // of each motion
 
     const Array& array(int which) const { return given_[which].array; }
     double* numbers(int which) const { return array(which).as<double>(); }
@@ -114,6 +115,8 @@ private:
     void read_cameras();
     void read_robots();
     void read_pictures();
+    // The estimated faces that the last picture read shows.
+    std::vector<Index> faces_in(Index picture) const;
 
     // The columns of the dense part that a term depends on, as they follow each other in it.
     Ranges of_motion(const Robot& robot, Index motion) const;

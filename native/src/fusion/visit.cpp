@@ -176,12 +176,12 @@ public:
             const Picture picture = problem.picture(state, p, faces);
             const Pictured seen = pictured(picture);
             if (by_pictures) {
-                kept += part(seen, p, p, kept);
+                kept += part(seen, picture.face_columns, p, p, kept);
             } else {
                 for (Index v = 0; v < views_.count(); ++v)
                     if (whole(SIGHTING_PICTURES)[v] == p && !flags(IS_WRONG)[v])
-                        kept += part(tame(seen, begin(v, first, picture), views_.corners(v)), v, p,
-                                     kept);
+                        kept += part(tame(seen, begin(v, first, picture), views_.corners(v)),
+                                     picture.face_columns, v, p, kept);
             }
             first += picture.corners;
         }
@@ -299,8 +299,10 @@ private:
         return {numbers(which) + shape[1] * columns * index, shape[1], columns};
     }
 
-    // Writes a part as the next that is kept: 1, or 0 where it determines no pose.
-    Index part(const Pictured& seen, Index number, Index picture, Index row) const {
+    // Writes a part, in whose columns some faces are, as the next that is kept: 1, or 0 where it
+    // determines no pose.
+    Index part(const Pictured& seen, const std::vector<Index>& shown, Index number, Index picture,
+               Index row) const {
         const Matrix6d information = seen.by_base.transpose() * seen.by_base;
         if (!information.allFinite()) return 0;
         const Vector6d scale = information.diagonal().cwiseMax(LEAST_SCALE).array().rsqrt();
@@ -313,8 +315,9 @@ private:
         const Eigen::Matrix<double, 6, Eigen::Dynamic> by =
             covariance * (seen.by_base.transpose() * seen.jacobian);
         const Index d = array(BY_ROBOT).shape[2], q = array(BY_OTHERS).shape[2],
-                    own = own_columns(), faces = by.cols() - d - own;
-        if (row >= array(PARTS).shape[0] || faces < 0 || q != own + scale_columns() + faces)
+                    own = own_columns(), faces = own + scale_columns();
+        if (row >= array(PARTS).shape[0] || d + own > by.cols() ||
+            q != faces + (estimates_faces() ? 6 * array(FACES).shape[0] : 0))
             throw std::invalid_argument("parts of other unknowns");
         whole(PARTS)[row] = number;
         whole(PART_NODES)[row] = whole(PICTURES)[5 * picture + 2];
@@ -324,7 +327,9 @@ private:
         auto by_others = matrix(BY_OTHERS, row);
         by_others.setZero();
         by_others.leftCols(own) = by.middleCols(d, own);
-        by_others.rightCols(faces) = by.rightCols(faces);
+        for (std::size_t i = 0; i < shown.size(); ++i)
+            by_others.middleCols<6>(faces + 6 * shown[i]) =
+                by.middleCols<6>(d + own + 6 * static_cast<Index>(i));
         return 1;
     }
 

@@ -104,6 +104,7 @@ def test_a_solution_that_does_not_converge_is_not_given_out(
 ) -> None:
     def stopped(*arguments: Any, **options: Any) -> Solved:
         found = solve_consistently(*arguments, **options)
+        assert found is not None
         return replace(found, solution=replace(found.solution, has_converged=False))
 
     monkeypatch.setattr(batch, "solve_consistently", stopped)

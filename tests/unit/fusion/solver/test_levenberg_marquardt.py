@@ -370,7 +370,8 @@ def test_two_solves_in_a_row_that_do_not_converge_end_it(
 
     monkeypatch.setattr(levenberg_marquardt, "_solve_once", solved)
     start = SimpleNamespace(cameras={}, robots={"r1": SimpleNamespace(scales=np.full(2, -1.0))})
-    solve_consistently(cast(Any, None), cast(Any, start), [], tolerance=1.0)
+    data = SimpleNamespace(usable=lambda _: [0])
+    solve_consistently(cast(Any, data), cast(Any, start), tolerance=1.0)
     assert len(found) == solves
 
 
