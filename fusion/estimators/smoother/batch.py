@@ -19,11 +19,15 @@ from trigpoint.fusion.estimators.explained_data import explained, left_open
 from trigpoint.fusion.estimators.marginals import camera_estimates
 from trigpoint.fusion.model.assembly import Assembled
 from trigpoint.fusion.model.dataset import DataSet
-from trigpoint.fusion.model.prediction import base_jacobian, batch_residual
-from trigpoint.fusion.model.problem import Batch, Problem, State
-from trigpoint.fusion.reading.best_readings import groups_of
+from trigpoint.fusion.model.problem import Problem, State
 from trigpoint.fusion.solver.filter import Filter
-from trigpoint.fusion.solver.levenberg_marquardt import Solution, Solved, solve_consistently
+from trigpoint.fusion.solver.innovations import innovations
+from trigpoint.fusion.solver.levenberg_marquardt import (
+    Solution,
+    Solved,
+    linearise,
+    solve_consistently,
+)
 from trigpoint.geometry.rotation import Array
 
 from . import odometry_noise, standstill_noise
@@ -35,7 +39,6 @@ _MOST_ROUNDS = 5
 _MOST_LOOKS = 2
 # The predicted decrease of χ² at which a solution has converged: a hundredth of a sigma.
 _TOLERANCE = 1e-4
-_Excess = tuple[float, int, int]
 
 
 class BatchSolution:
@@ -125,72 +128,32 @@ def leave_out_contradicting(
 ) -> bool:
     """Leave out the worst of each robot's sightings that contradict the solution; whether any was.
 
-    The association judges most of a session's sightings to first order, and those outside the
-    subset that it examines each by itself. In the solution all of them take part, and so does the
-    robot's deviation in each picture from its odometry. The further offset ν of the pose that a
-    sighting calls for has at most its own covariance P there; so a correct sighting scores at least
-    νᵀP⁻¹ν + ln |P|, and one for which that exceeds the score of a wrong one is wrong, whatever the
-    rest of its covariance.
-
-    A wrong sighting that pulls good ones away is at least twice as bad as they are, so those that
-    are less than half as bad as the worst are judged again later.
+    The association judges a visit's sightings by that visit, most to first order. In the solution
+    everything takes part: a sighting is wrong that is less probable, where all else predicts it,
+    than one whose board may be anywhere. A wrong one that pulls good ones away is at least twice as
+    bad as they are, so those that are less than half as bad as the worst are judged again later.
     """
-    worst: dict[str, float] = {}
-    found: list[tuple[str, _Excess]] = []
-    for batch in assembled.problem.batches:
-        for excess in _excesses(data, batch, state, events):
-            worst[batch.robot] = max(worst.get(batch.robot, 0.0), excess[0])
-            found.append((batch.robot, excess))
-    left_out = [each for robot, each in found if each[0] > worst[robot] / 2]
-    for _, source, order in left_out:
-        entry = data.entries[source]
-        wild = list(entry.observation.wild)
-        wild[order] = np.ones_like(wild[order])
-        entry.observation = entry.observation.with_outliers(tuple(wild))
-    return bool(left_out)
-
-
-def compensated(by_base: Array, residual: Array, variances: Array) -> Array:
-    """Residuals (n, K, 2) of pictures less what the robot's best-fitting deviation from its node in
-    each, of `variances` (n, 6), explains of them; `by_base` (n, K, 2, 6): their derivative by it.
-
-    A floor that tilts by a third of a degree or a mast that sways by a millimetre moves all corners
-    of a picture as one, so more corners do not average it away.
-    """
-    flat = by_base.reshape(len(by_base), -1, 6)
-    turned = np.swapaxes(flat, 1, 2)
-    information = turned @ flat
-    information[:, range(6), range(6)] += 1 / variances
-    pull = turned @ residual.reshape(len(flat), -1, 1)
-    return residual - (flat @ np.linalg.solve(information, pull)).reshape(residual.shape)
-
-
-def _excesses(data: DataSet, batch: Batch, state: State, events: Events) -> list[_Excess]:
-    """By how much the score of each contradicting sighting of a batch exceeds a wrong one's, with
-    its source and order."""
-    by_base = base_jacobian(batch, state)
-    residual = batch_residual(batch, state)
-    found: list[_Excess] = []
-    if batch.jitter is not None:
-        residual = compensated(by_base, residual, batch.jitter[:, 0])
-    shown = [
-        (row, source, order, part)
-        for row, source in enumerate(batch.sources.tolist())
-        for order, part in enumerate(data.entries[source].observation.parts)
-        if np.any(by_base[row, part])  # it is not left out already
-    ]
-    for rows in groups_of([part.stop - part.start for *_, part in shown]):
-        mine = [shown[each] for each in rows.tolist()]
-        flat = np.stack([by_base[row, part] for row, _, _, part in mine])
-        flat = flat.reshape(len(mine), -1, 6)
-        left = np.stack([residual[row, part].reshape(-1, 1) for row, _, _, part in mine])
-        turned = np.swapaxes(flat, 1, 2)
-        information = turned @ flat + np.diag(1 / events.room_variances)
-        pull = turned @ left
-        chi2 = np.sum(pull * np.linalg.solve(information, pull), axis=(1, 2))
-        excess = events.over_anywhere(chi2, -np.linalg.slogdet(information)[1])
-        found += [
-            (float(excess[each]), mine[each][1], mine[each][2])
-            for each in np.flatnonzero(excess > 0).tolist()
-        ]
-    return found
+    problem, found = assembled.problem, list[tuple[str, int, int]]()
+    sightings, first = list[tuple[int, int, int]](), 0
+    for batch in problem.batches:
+        for row, source in enumerate(batch.sources.tolist()):
+            for order, part in enumerate(data.entries[source].observation.parts):
+                if np.any(batch.weights[row, part]):  # it is not left out already
+                    sightings.append((first + row, part.start, part.stop - part.start))
+                    found.append((batch.robot, source, order))
+        first += len(batch.sources)
+    asked = np.array(sightings, dtype=np.int64).reshape(-1, 3)
+    equations, room = linearise(problem, state), events.room_variances
+    chi2, spread = innovations(equations, state, asked, room_variances=room, rest=_TOLERANCE)
+    excess = events.over_anywhere(chi2, spread).tolist()
+    worst = dict.fromkeys(problem.chains, 0.0)
+    for (robot, *_), over in zip(found, excess, strict=True):
+        worst[robot] = max(worst[robot], over)
+    is_any = False
+    for (robot, source, order), over in zip(found, excess, strict=True):
+        if over > worst[robot] / 2:
+            entry, is_any = data.entries[source], True
+            wild = list(entry.observation.wild)
+            wild[order] = np.ones_like(wild[order])
+            entry.observation = entry.observation.with_outliers(tuple(wild))
+    return is_any

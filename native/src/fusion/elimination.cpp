@@ -163,4 +163,69 @@ void Elimination::substitute(const Eigen::VectorXd& dense, Eigen::MatrixXd& node
     }
 }
 
+// A node is eliminated before those on which it depends: of all these the covariance is known.
+void Elimination::covariances(const Eigen::MatrixXd& dense, const Take& take) const {
+    const Index n = static_cast<Index>(order_.size());
+    std::unordered_map<Index, Joint> above;
+    const std::function<void(Index, Index)> descend = [&](Index node, Index reach) {
+        const Joint& mine = above.emplace(node, joint(node, reach, above, dense)).first->second;
+        take(node, mine.own, mine.by_dense);
+        if (reach > 1) descend(node - reach / 2, reach / 2);
+        for (Index half = reach / 2; half > 0; half /= 2)
+            if (node + half < n) {
+                descend(node + half, half);
+                break;
+            }
+        above.erase(node);
+    };
+    Index reach = 1;
+    while (2 * reach <= n) reach *= 2;
+    if (n > 0) descend(reach - 1, reach);
+}
+
+Elimination::Joint Elimination::joint(Index node, Index reach,
+                                      const std::unordered_map<Index, Joint>& above,
+                                      const Eigen::MatrixXd& dense) const {
+    const Index d = d_, n = static_cast<Index>(order_.size()), begin = filled_.begin(node);
+    const auto factor = factor_.middleCols(d * node, d).triangularView<Eigen::Lower>();
+    Eigen::MatrixXd by = rows_.middleCols(begin, filled_.begin(node + 1) - 1 - begin);
+    factor.transpose().solveInPlace(by);
+    Joint found{node - reach, node + reach < n ? node + reach : -1, {}, {}, {}, {}};
+    found.by_left = found.by_right = found.own = Eigen::MatrixXd::Zero(d, d);
+    found.by_dense = Eigen::MatrixXd::Zero(d, dense.cols());
+    const Joint* left = found.left >= 0 ? &above.at(found.left) : nullptr;
+    const Joint* right = found.right >= 0 ? &above.at(found.right) : nullptr;
+    const auto by_left = by.leftCols(d), by_right = by.middleCols(d, d);
+    // Of two neighbours one was eliminated onto the other.
+    const auto across = [&]() -> Eigen::MatrixXd {
+        if (left->right == found.right) return left->by_right;
+        return right->by_left.transpose();
+    };
+    const auto add = [&](const auto& factors, const Eigen::MatrixXd& by_dense,
+                         const Eigen::MatrixXd& with_left, const Eigen::MatrixXd& with_right) {
+        found.by_dense -= factors * by_dense;
+        if (left) found.by_left -= factors * with_left;
+        if (right) found.by_right -= factors * with_right;
+    };
+    if (left) add(by_left, left->by_dense, left->own, right ? across() : Eigen::MatrixXd());
+    if (right)
+        add(by_right, right->by_dense,
+            left ? Eigen::MatrixXd(across().transpose()) : Eigen::MatrixXd(), right->own);
+    for (const Range& range : filled_[node]) {
+        const auto columns = [&](const Joint* other) -> Eigen::MatrixXd {
+            if (!other) return {};
+            return other->by_dense.middleCols(range.first, range.count).transpose();
+        };
+        add(by.middleCols(2 * d + range.at, range.count),
+            dense.middleRows(range.first, range.count), columns(left), columns(right));
+    }
+    found.own = factor.transpose().solve(factor.solve(Eigen::MatrixXd::Identity(d, d)).eval());
+    if (left) found.own -= found.by_left * by_left.transpose();
+    if (right) found.own -= found.by_right * by_right.transpose();
+    for (const Range& range : filled_[node])
+        found.own -= found.by_dense.middleCols(range.first, range.count) *
+                     by.middleCols(2 * d + range.at, range.count).transpose();
+    return found;
+}
+
 }  // namespace trigpoint

@@ -232,6 +232,15 @@ Equations Problem::equations() const {
     return found;
 }
 
+bool Problem::has(const Equations& equations) const {
+    const auto is_of = [](const Robot& robot, const ChainEquations& chain) {
+        return chain.d == robot.tangent.count && chain.nodes() == robot.nodes - 1;
+    };
+    return equations.gradient.size() == size_ &&
+           std::equal(robots_.begin(), robots_.end(), equations.chains.begin(),
+                      equations.chains.end(), is_of);
+}
+
 Index Problem::held() const {
     Index count = 0;
     for (const Robot& robot : robots_) count += robot.is_held ? robot.tangent.count : 0;
@@ -300,16 +309,32 @@ const double* Problem::deviation(Index picture) const {
     return whole(PICTURES, picture)[DEVIATES] != 0 ? numbers(DEVIATIONS) + 12 * picture : nullptr;
 }
 
-std::vector<Index> Problem::rows_of(Index index) const {
+Index Problem::robot_of(Index picture) const { return whole(PICTURES, picture)[ROBOT]; }
+
+Index Problem::inner_node_of(Index picture) const {
+    const Index node = whole(PICTURES, picture)[NODE];
+    return node + 1 < robots_[at(robot_of(picture))].nodes ? node : -1;
+}
+
+std::vector<Index> Problem::columns_of(Index picture) const {
+    const Range& last = robots_[at(robot_of(picture))].last;
+    std::vector<Index> found;
+    const auto add = [&](const Range& range) {
+        for (Index k = 0; k < range.count; ++k) found.push_back(range.first + k);
+    };
+    if (inner_node_of(picture) < 0) add(last);
+    for (const Range& range : of_picture(picture))
+        if (range.first != last.first) add(range);
+    return found;
+}
+
+std::vector<Index> Problem::rows_of(Index picture) const {
     const Robot& robot = robots_.front();
     const Index d = robot.tangent.count, dense = d * (robot.nodes - 1),
-                node = *(whole(PICTURES, index) + NODE);
+                node = inner_node_of(picture);
     std::vector<Index> found;
-    for (Index k = 0; k < d; ++k)
-        found.push_back(node + 1 < robot.nodes ? d * node + k : dense + robot.last.first + k);
-    for (const Range& range : of_picture(index))
-        if (range.at >= d)  // not the node's own
-            for (Index k = 0; k < range.count; ++k) found.push_back(dense + range.first + k);
+    for (Index k = 0; node >= 0 && k < d; ++k) found.push_back(d * node + k);
+    for (const Index column : columns_of(picture)) found.push_back(dense + column);
     return found;
 }
 

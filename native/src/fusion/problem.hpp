@@ -83,6 +83,14 @@ public:
     // Where the unknowns of a picture's terms are among all, the inner nodes first; of a problem of
     // one robot.
     std::vector<Index> rows_of(Index picture) const;
+    // Those of the dense part among them.
+    std::vector<Index> columns_of(Index picture) const;
+    Index pictures() const { return array(PICTURES).shape[0]; }
+    // Whether equations are of its unknowns.
+    bool has(const Equations& equations) const;
+    // The robot, and its inner node or -1, of a picture.
+    Index robot_of(Index picture) const;
+    Index inner_node_of(Index picture) const;
     // The term of a motion between nodes at a state, its errors as they are, not in sigmas.
     OdometryTerm motion(const State& state, Index motion) const;
     // Variances (12,) of the robot's deviation in a picture; null where it has none.

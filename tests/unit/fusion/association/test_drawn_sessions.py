@@ -56,6 +56,13 @@ def test_either_of_two_sightings_that_contradict_each_other_may_be_wrong(tmp_pat
     assert_where_they_say(located, places)
 
 
+def test_displaced_picture_that_the_solution_followed_is_found(tmp_path: Path) -> None:
+    """By its own residual it was good, and three cameras were up to six of their sigmas off."""
+    located, places = located_of("everything", 138, tmp_path)
+    assert places.keys() - located.keys() == {"c2"}
+    assert_where_they_say(located, places)
+
+
 def test_camera_with_a_clock_is_not_pushed_by_one_picture(tmp_path: Path) -> None:
     """A displaced one, its last: it had put the camera 18 cm off."""
     located, places = located_of("drive-everything", 2106, tmp_path)

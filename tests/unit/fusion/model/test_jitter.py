@@ -7,7 +7,6 @@ from support.fusion.picture_jitter import PictureJitter
 from support.fusion.slow_problem import about_best_fit, picture_of
 from support.fusion.small_problems import small_problem
 
-from trigpoint.fusion.estimators.smoother.batch import compensated
 from trigpoint.fusion.model.jitter import Jitter
 from trigpoint.fusion.model.prediction import (
     base_jacobian,
@@ -82,16 +81,6 @@ def test_the_factor_of_a_picture_has_the_squares_of_its_equations(is_shared: boo
     np.testing.assert_array_equal(dense, columns)
     np.testing.assert_allclose(np.tril(factor, -1), 0.0, atol=1e-9)
     np.testing.assert_allclose(factor.T @ factor, whole.T @ whole, rtol=1e-9, atol=1e-6)
-
-
-def test_what_a_disturbance_makes_is_taken_out_and_nothing_else() -> None:
-    random = np.random.default_rng(3)
-    by_base, shift = 100 * random.normal(size=(2, 20, 2, 6)), random.normal(size=(2, 6))
-    residual = -np.einsum("nkij,nj->nki", by_base, shift)
-    variances = np.full((2, 6), 1e4)
-    assert np.abs(compensated(by_base, residual, variances)).max() < 1e-2
-    residual[1, 0, 0] += 10
-    assert np.abs(compensated(by_base, residual, variances)).max() > 5
 
 
 def test_pictures_that_share_a_tilt_weigh_together_as_one() -> None:

@@ -1,0 +1,78 @@
+"""How far a sighting is from where everything else predicts it, by the inverse of the whole."""
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+from support.fusion.small_problems import first_state, small_data
+
+from trigpoint.fusion.association.events import Events
+from trigpoint.fusion.model.assembly import assemble
+from trigpoint.fusion.model.jitter import Jitter
+from trigpoint.fusion.model.prediction import base_jacobian, batch_jacobian
+from trigpoint.fusion.model.problem import Batch
+from trigpoint.fusion.solver.equations import System
+from trigpoint.fusion.solver.innovations import innovations
+from trigpoint.fusion.solver.levenberg_marquardt import Minimum, minimise
+from trigpoint.geometry.rotation import Array
+
+ROOM = Events().room_variances
+
+
+def shown(jitter: Jitter | None, *, known: bool) -> tuple[Minimum, np.ndarray]:
+    """Forty pictures of two robots, and their sightings (s, 3); three are displaced by 3 px."""
+    data = small_data(noise_px=0.2, sightings=40, known=known)
+    assembled = assemble(data, first_state(data, off=0.0), list(range(len(data.entries))))
+    batches, sightings, first = [], [], 0
+    for batch in assembled.problem.batches:
+        n, pixels = len(batch.nodes), batch.pixels.copy()
+        pixels[2, data.entries[int(batch.sources[2])].observation.parts[0]] += 3.0
+        shaken = jitter.in_pictures(np.zeros((n, 3))) if jitter else None
+        batches.append(replace(batch, pixels=pixels, jitter=shaken))
+        for row, source in enumerate(batch.sources.tolist()):
+            parts = data.entries[source].observation.parts
+            sightings += [(first + row, part.start, part.stop - part.start) for part in parts]
+        first += n
+    problem = replace(assembled.problem, batches=tuple(batches))
+    found = minimise(problem, assembled.start, huber=np.inf, tolerance=1e-10, most_iterations=50)
+    return found, np.array(sightings)
+
+
+def expected(found: Minimum, system: System, batch: Batch, row: int, corners: slice) -> Array:
+    """The χ² and ln |S| of a pose of its own for these corners, by the inverse of the whole."""
+    problem = system.problem
+    jacobian, residual, columns = batch_jacobian(problem, batch, found.state)
+    nodes = system.node_rows(batch.robot, int(batch.nodes[row]))
+    rows = np.concatenate([nodes, system.dense_row + columns])
+    by, left = jacobian[row].reshape(-1, jacobian.shape[-1]), residual[row].reshape(-1)
+    by_base = base_jacobian(batch, found.state)[row]
+    own = np.zeros_like(by_base)
+    own[corners] = by_base[corners]
+    by_base, own, noise = by_base.reshape(-1, 6), own.reshape(-1, 6), np.eye(len(left))
+    if batch.jitter is not None:
+        noise += by_base @ (batch.jitter[row, 0][:, None] * by_base.T)
+    weight = np.linalg.inv(noise)
+    across = own.T @ weight @ by
+    covariance = system.covariance[np.ix_(rows, rows)]
+    information = own.T @ weight @ own - across @ covariance @ across.T
+    pull = own.T @ weight @ left
+    spread = -np.linalg.slogdet(information)[1]
+    return np.array([pull @ np.linalg.solve(information, pull), spread])
+
+
+@pytest.mark.parametrize("known", [False, True])
+@pytest.mark.parametrize("jitter", [None, Jitter(sway=0.002, tilt=0.01)])
+def test_innovations_are_those_of_the_whole_system(jitter: Jitter | None, known: bool) -> None:
+    found, asked = shown(jitter, known=known)
+    problem, system = found.equations.problem, found.equations.system()
+    assert min(len(chain) for chain in problem.chains.values()) > 16
+    chi2, spread = innovations(
+        found.equations, found.state, asked, room_variances=1e6 * ROOM, rest=0.0
+    )
+    first = 0
+    for batch in problem.batches:
+        for at in np.flatnonzero((asked[:, 0] >= first) & (asked[:, 0] < first + len(batch.nodes))):
+            picture, begin, count = asked[at].tolist()
+            corners = slice(begin, begin + count)
+            own = expected(found, system, batch, picture - first, corners)
+            np.testing.assert_allclose([chi2[at], spread[at]], own, rtol=1e-3, atol=1e-3)
+        first += len(batch.nodes)
