@@ -13,7 +13,7 @@ from trigpoint.base.clock import to_ns
 from trigpoint.contract.messages import CameraInfo, Diagnostics, Message, Odometry, Sightings
 from trigpoint.contract.nudge import nudges_in
 
-from .association.other_odometry import mirrored
+from .association.other_odometry import otherwise
 from .camera_announcements import CameraAnnouncements
 from .estimating import estimating
 from .estimators.change_reports import CHANGES
@@ -358,7 +358,7 @@ class Pipeline:
             self._use_rest()
             self._explain_all()
         if not self._is_live:
-            self.arrivals.odometry.mirrored = mirrored(self._data)
+            self.arrivals.odometry.otherwise = otherwise(self._data)
         self._left_out.take_from(self._data)
         self._take_cameras(self._data.last_ns, is_urgent=True)
         self._outputs += self._cameras.rest()

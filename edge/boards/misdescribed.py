@@ -40,7 +40,8 @@ def remedy(look: Appearance) -> str:
     if face.columns % 2 == 0:
         lines = (
             f"write columns = {face.rows} and rows = {face.columns}, as it is when turned by a "
-            f"quarter, or {inverted}"
+            f"quarter, or {inverted}, unless the print is as the file has it: then the pictures "
+            "are mirrored (flip)"
         )
     return (
         f"{look.words}: a checkerboard of {face.columns} × {face.rows} squares is seen, but the "

@@ -120,10 +120,14 @@ def other_size(
         if each := _voted(reading, face, few):
             voted.append((face, each))
     most = max((len(each.which) for _, each in voted), default=0)
-    best = [(face, each.face) for face, each in voted if len(each.which) == most]
-    boards = [(face.pattern, face.columns) for _, face in best]
+    best = [(face, each) for face, each in voted if len(each.which) == most]
+    boards = [(each.face.pattern, each.face.columns) for _, each in best]
     is_own = boards[:1] == [(reading.face.pattern, reading.face.columns)]
-    return _voted(reading, best[0][0], read) if is_own or len(set(boards)) == 1 else None
+    if not is_own and len(set(boards)) != 1:
+        return None
+    # It begins with the least marker that is read, or has rows above that nobody saw.
+    alike = [one for one, board in zip(best, boards, strict=True) if board == boards[0]]
+    return _voted(reading, min(alike, key=lambda one: one[1].differences)[0], read)
 
 
 def _voted(reading: Reading, face: Face, read: Markers) -> OtherSize | None:

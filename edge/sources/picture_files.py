@@ -41,6 +41,12 @@ def pictures_in(folder: Path) -> list[Path]:
     """The picture files of a folder by name; raise InputError where it is none or has none."""
     pictures = listed_pictures(folder)
     if not pictures:
+        inside = [f.name for f in sorted(folder.iterdir()) if f.is_dir() and listed_pictures(f)]
+        if inside:
+            raise InputError(
+                f"{folder}: no pictures in this folder, but in those in it ({', '.join(inside)}); "
+                "name one"
+            )
         known = " ".join(sorted(PICTURE_SUFFIXES))
         raise InputError(f"{folder}: no pictures in this folder; put files in it ({known})")
     return pictures

@@ -30,10 +30,10 @@ _MOST_SIDEWAYS = 0.3
 # Of an explanation: a robot is carried once or twice, and not every few minutes.
 _MOST_BREAKS, _CARRIED_NS = 2, to_ns(600.0)
 _CONVENTION = "x is forward and y left in metres, and headings turn to the left in radians"
-_MIRRORED = (
-    "what cameras saw fits its odometry only if that is mirrored, so that turns to the left are "
-    "told as turns to the right: is its y axis to the right, or its z downwards (NED, FRD)? "
-    f"{_CONVENTION} (REP 103); or has its target file left and right exchanged?"
+_OTHERWISE = (
+    f"what cameras saw fits its odometry only if {{}}; {_CONVENTION} (REP 103); are lengths in "
+    "feet, wheels' radii given as diameters, or left and right, or front and back, of its target "
+    "file exchanged?"
 )
 
 
@@ -47,13 +47,13 @@ class _Came(Struct):
 
 
 class OdometryDoubts:
-    """What is odd about robots' odometry, by `tracks` and by what `add` was told of. `mirrored`:
-    the robots that were seen to drive as if theirs were."""
+    """What is odd about robots' odometry, by `tracks` and by what `add` was told of.
+    `otherwise`: how robots were seen to drive as if theirs were told, in words."""
 
     def __init__(self, site: Site, tracks: Mapping[str, OdometryTrack]) -> None:
         self._site, self._tracks = site, tracks
         self._came: dict[str, _Came] = {}
-        self.mirrored: list[str] = []
+        self.otherwise: dict[str, str] = {}
 
     def add(self, robot: str, readings: Readings, *, stale: int) -> None:
         """Note messages of a robot, of which so many are `stale`: no newer than one before."""
@@ -79,11 +79,13 @@ class OdometryDoubts:
         moved."""
         tracks = {robot: track for robot, track in self._tracks.items() if len(track)}
         return bool(tracks) and all(
-            robot in self.mirrored or _is_stuck(track) for robot, track in tracks.items()
+            robot in self.otherwise or _is_stuck(track) for robot, track in tracks.items()
         )
 
     def _in_track(self, robot: str) -> Iterator[str]:
-        return iter([_MIRRORED]) if robot in self.mirrored else _in_track(self._tracks[robot])
+        if words := self.otherwise.get(robot):
+            return iter([_OTHERWISE.format(words)])
+        return _in_track(self._tracks[robot])
 
     def _in_messages(self, robot: str, came: _Came) -> Iterator[str]:
         count, of_all = came.count, f"of {came.count} odometry messages"

@@ -87,6 +87,7 @@ def main(
     if not json:
         typer.echo(f"written to {folder}; open {folder / REPORT} in a browser")
     _check_used(results, [*pipeline.arrivals.doubts, *results.doubts])
+    _check_told(sorted(pipeline.arrivals.odometry.otherwise))
 
 
 def _worked_out(task: Task) -> Pipeline:
@@ -123,6 +124,16 @@ def _check_used(results: Results, doubts: Sequence[str]) -> None:
         raise OperationError(f"no camera could be located; {name}{others} is unseen: {why}")
     if doubts and not results.network.located:
         raise OperationError("no camera could be located; the notes above say what may be why")
+
+
+def _check_told(robots: Sequence[str]) -> None:
+    """Raise OperationError where cameras rest on odometry that is told otherwise than it is
+    read."""
+    if robots:
+        raise OperationError(
+            f"do not use these cameras: they rest on the odometry of {', '.join(robots)}, which is "
+            "told otherwise than it is read; correct what the note above says"
+        )
 
 
 def _say_alignment(alignment: Alignment) -> None:

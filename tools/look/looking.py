@@ -11,6 +11,7 @@ from msgspec.structs import replace
 
 from trigpoint.base.clock import SteadyClock, to_ns
 from trigpoint.base.errors import InputError, OperationError
+from trigpoint.base.words import counted
 from trigpoint.edge.image.picture import eight_bits
 from trigpoint.edge.lens.calibration import Calibration
 from trigpoint.edge.lens.intrinsics import check_size
@@ -62,8 +63,8 @@ class Wishes(Struct, frozen=True):
 
 class Result(Struct, frozen=True):
     """How it ended. `lens`: the newest that was worked out; `written`: its files; `missing`: why
-    there are none where a lens was wanted; `hints`: what the target file has wrong; `over`: how it
-    ended, in words."""
+    there are none where a lens was wanted; `hints`: what the target file has wrong, and what was
+    left out; `over`: how it ended, in words."""
 
     pictures: int
     with_target: int
@@ -94,6 +95,7 @@ class Look:
         self._guide = Guide(wishes.config)
         self._pictures = self._with_target = 0
         self._size = (0, 0)
+        self._left_out: list[str] = []
         self._written: tuple[Path, ...] = ()
         self._lack = "no picture came; see whether it is on"
         self._last: tuple[Shown, np.ndarray] | None = None
@@ -147,7 +149,8 @@ class Look:
 
     def _take(self, frame: Frame) -> None:
         picture = eight_bits(frame.picture)
-        self._check_size(picture)
+        if not self._is_of_one_size(picture):
+            return
         self._pictures += 1
         is_still = self._scheme == "dir"
         stamp_ns = self._pictures * _STILL_APART_NS if is_still else frame.captured_ns
@@ -160,18 +163,37 @@ class Look:
         self._last = self._shown(frame, seen, is_held=len(usable) == len(seen)), picture
         self._tell(*self._last)
 
-    def _check_size(self, picture: np.ndarray) -> None:
+    def _is_of_one_size(self, picture: np.ndarray) -> bool:
+        """Whether a picture is used: of a folder, those of another size than the first are left
+        out. Raises InputError."""
         height, width = picture.shape[:2]
         if self._pictures == 0:
             self._size = (width, height)
             if self._wishes.lens is not None:
                 config, lens = self._wishes.config, self._wishes.lens
                 check_size(self.name, config, lens, picture.shape)
-        elif (width, height) != self._size:
-            raise InputError(
-                f"picture {self._pictures + 1} is {width} × {height}, those before were "
-                f"{self._size[0]} × {self._size[1]}; give pictures of one camera at one size"
-            )
+        if (width, height) == self._size:
+            return True
+        number = self._pictures + len(self._left_out) + 1
+        self._left_out.append(f"picture {number} is {width} × {height}")
+        if self._scheme != "dir":
+            raise self._mixed()
+        return False
+
+    def _mixed(self) -> InputError:
+        return InputError(
+            f"{self._left_out[0]}, those before were {self._size[0]} × {self._size[1]}; give "
+            "pictures of one camera at one size"
+        )
+
+    @property
+    def _odd_sizes(self) -> list[str]:
+        """What is said of pictures that were left out for their size."""
+        if not self._left_out:
+            return []
+        size = f"{self._size[0]} × {self._size[1]}"
+        count = counted(len(self._left_out), "picture")
+        return [f"{count} left out, not of the size of the first ({size}): {self._left_out[-1]}"]
 
     def _is_usable(self, seen: Seen) -> bool:
         """Whether a rolling shutter bends a face by no more than a lens bears."""
@@ -225,12 +247,14 @@ class Look:
         hints = [*self._tracker.misdescribed, *([_FROZEN] if is_frozen else [])]
         least = LEAST_PICTURES if self._scheme == "dir" else _LEAST_LIVE
         is_unseen = not self._with_target and self._pictures >= least
-        return [*hints, *([NOTHING_NEAR] if is_unseen and not hints else [])]
+        return [*hints, *([NOTHING_NEAR] if is_unseen and not hints else []), *self._odd_sizes]
 
     def _ended(self) -> Result:
         """Take what there is: where the source has ended, the lens of all views."""
         if self._last is None:
             raise OperationError(f"{self.name}: {self._lack}")
+        if len(self._left_out) >= self._pictures:
+            raise self._mixed()
         missing = ""
         if self._wishes.out is not None:
             shown, picture = self._last
@@ -243,7 +267,7 @@ class Look:
         shown, picture = self._last
         over = self._over(shown, missing)
         self._tell(over, picture)
-        found, hints = self._taking.found, self._tracker.misdescribed
+        found, hints = self._taking.found, (*self._tracker.misdescribed, *self._odd_sizes)
         counts = (self._pictures, self._with_target, self._size, len(self._taking.views))
         return Result(*counts, found, self._written, missing, hints, over.over)
 

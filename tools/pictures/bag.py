@@ -52,6 +52,8 @@ _CONVERSIONS: dict[str, tuple[int, int, int | None]] = {
 }
 # Other planes follow these. Rows are filled up to so many bytes at most.
 _PLANES, _WIDEST_FILL = ("nv12", "nv21", "nv24", "i420"), 512
+# Of brightness and colour by turns, neighbours differ by so many times what their next ones do.
+_BY_TURNS = 2.0
 # Formats of compressed messages that hold no pictures, and what to do.
 _NO_PICTURES = {
     "compresseddepth": "that is depth, not a picture; name the topic of the camera's pictures",
@@ -134,16 +136,25 @@ def _rows(image: RawImage, pixel: int) -> np.ndarray:
 
 def _check_rows(image: RawImage, width: int) -> None:
     """Raise MessageError where pixels of a byte, in rows of `width` bytes, come with as many bytes
-    as those of three or four colours have: the encoding is another one."""
+    as those of two to four values a pixel have: the encoding is another one."""
     if image.encoding.lower() in _PLANES or width > image.width:
         return
     times = image.data.size // max(width * image.height, 1)
-    if width > _WIDEST_FILL and times in (3, 4) and image.step in (0, width, times * width):
+    is_other = times in (3, 4) or (times == 2 and _is_by_turns(image.data))
+    if width > _WIDEST_FILL and is_other and image.step in (0, width, times * width):
         samples = f"{image.width} × {image.height} pixels of {image.encoding}"
         raise MessageError(
             f"its {counted(image.data.size, 'byte')} are {times} times {samples}; name the "
             "encoding that it has"
         )
+
+
+def _is_by_turns(data: np.ndarray) -> bool:
+    """Whether bytes (n,) are of two kinds by turns, as in YUYV: those two apart are more alike than
+    neighbours are. Not so, where rows are those of two pictures side by side."""
+    values = data.astype(np.int16)
+    beside, next_but_one = (np.abs(values[n:] - values[:-n]).mean() for n in (1, 2))
+    return bool(beside > _BY_TURNS * next_but_one)
 
 
 def _only(path: Path, bag: Bag) -> list[str]:

@@ -17,6 +17,14 @@ from trigpoint.base.words import nearest
 
 Struct = TypeVar("Struct", bound=msgspec.Struct)
 KeyPath = tuple[str | int, ...]
+# Other files than TOML, by a pattern in them, and what to do.
+_OTHERS = (
+    (
+        r"(?m)^target_type:",
+        "this is Kalibr's target file; make one of it: trigpoint target import FILE --out "
+        "target.toml",
+    ),
+)
 
 
 def parse_toml(
@@ -31,7 +39,8 @@ def parse_toml(
     try:
         document = tomllib.loads(text)
     except tomllib.TOMLDecodeError as reason:
-        raise error(f"{file}: not valid TOML: {reason}; mend that line") from None
+        way = next((way for words, way in _OTHERS if re.search(words, text)), "")
+        raise error(f"{file}: {way or f'not valid TOML: {reason}; mend that line'}") from None
     for key, value in (settings or {}).items():
         _put(document, key, value, error)
     lines = text.splitlines()

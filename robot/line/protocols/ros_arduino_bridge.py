@@ -17,7 +17,7 @@ still be open or to a later one: it is read where even the oldest was asked a mo
 import re
 from collections import deque
 
-from trigpoint.base.clock import to_ns
+from trigpoint.base.clock import to_ns, to_seconds
 from trigpoint.robot.line.encoders import UNUSED, USUAL_BITS, Encoders
 from trigpoint.robot.line.protocol import (
     Advice,
@@ -55,6 +55,8 @@ _REFUSAL = "Invalid Command"
 _KNOWN = ("", "OK", "e", "r")
 # One wrong line may be noise, or the rest of another command's answer.
 _TOLERATED = 3
+# So many answers that come late are no accident of a board's start.
+_MOST_LATE = 9
 _SAY_EVERY_NS = to_ns(5.0)
 # Six seconds of them: a reader that is held up for longer is started anew.
 _MOST_OPEN = 64
@@ -91,7 +93,7 @@ class RosArduinoBridge:
         self._open: deque[int] = deque(maxlen=_MOST_OPEN)
         # Whether the newest may be answered in time; whether an answer came since it was asked.
         self._is_awaited = self._is_heard = False
-        self._unanswered = self._wrong_lines = 0
+        self._unanswered = self._wrong_lines = self._late_lines = 0
         self._heard_ns: int | None = None
         # An end of line first: it ends whatever half a command the board may hold.
         self._waiting = bytearray(END)
@@ -130,7 +132,7 @@ class RosArduinoBridge:
         self._wrong_lines = 0
         asked_ns = self._answered(now_ns)
         if asked_ns is None or now_ns - asked_ns > ANSWER_NS:
-            return []  # when it was read is not known well enough
+            return self._late(line, now_ns)
         return self._read(self._encoders, counts, asked_ns, now_ns)
 
     def _answered(self, now_ns: int) -> int | None:
@@ -153,6 +155,7 @@ class RosArduinoBridge:
         self, encoders: Encoders, counts: list[float], asked_ns: int, now_ns: int
     ) -> list[Event]:
         assert self._geometry is not None  # there are no encoders without it
+        self._late_lines = 0
         taken_ns = (asked_ns + now_ns) // 2
         turned = encoders.add(counts, taken_ns)
         events: list[Event] = []
@@ -175,11 +178,28 @@ class RosArduinoBridge:
     def _damage(self, text: str = "") -> list[Event]:
         return [Damaged(DamageKind.CONTENT, text)] if self._is_connected or text else []
 
+    def _late(self, line: str, now_ns: int) -> list[Event]:
+        """Counts of which it is not known well enough when they were read; told now and then of a
+        board that sends no others."""
+        self._late_lines += 1
+        if self._is_connected or self._late_lines < _MOST_LATE or self._is_told(now_ns):
+            return []
+        self._said_ns = now_ns
+        return [
+            Mismatched(
+                f"robot {self._robot} answers «{line}», but always later than "
+                f"{to_seconds(ANSWER_NS):g} s after it was asked, so when its wheels were there is "
+                "not known; does its sketch wait in its loop (delay, sonar), or is `baud` too low?"
+            )
+        ]
+
+    def _is_told(self, now_ns: int) -> bool:
+        return self._said_ns is not None and now_ns - self._said_ns < _SAY_EVERY_NS
+
     def _wrong(self, line: str, numbers: list[float] | None, now_ns: int) -> list[Event]:
         """A line that is no answer; several in a row are told now and then."""
         self._wrong_lines += 1
-        is_told = self._said_ns is not None and now_ns - self._said_ns < _SAY_EVERY_NS
-        if self._wrong_lines < _TOLERATED or is_told:
+        if self._wrong_lines < _TOLERATED or self._is_told(now_ns):
             return [] if line == _REFUSAL else self._damage()
         self._said_ns = now_ns
         answers = f"robot {self._robot} answers «{line}»"

@@ -171,18 +171,28 @@ def other_conventions(folder: Path, random: np.random.Generator) -> Case:
 
 
 def against_the_pictures(folder: Path, random: np.random.Generator) -> Case:
-    """Mirrored (NED), or one that never moves: the pictures alone contradict it."""
-    is_stuck = bool(random.integers(2))
+    """Mirrored (NED), in feet, by wheels' diameters, backwards, or one that never moves: the
+    pictures alone contradict it."""
+    says, change = list(_CONTRADICTED.items())[random.integers(len(_CONTRADICTED))]
+    return Case(calibrated(folder, change), (0, 1), (says,), never=("put down elsewhere",))
 
+
+def _by(x: float, y: float, heading: float = 1.0) -> Callable[[int, Any], None]:
     def change(_number: int, odometry: Any) -> None:
         place, turn = odometry.pose.pose.position, odometry.pose.pose.orientation
-        if is_stuck:
-            place.x, place.y, turn.z, turn.w = 0.0, 0.0, 0.0, 1.0
-        else:
-            place.y, turn.z = -place.y, -turn.z
+        place.x, place.y, turn.z = x * place.x, y * place.y, heading * turn.z
+        turn.w = turn.w if heading else 1.0
 
-    says = "does not move while cameras see it" if is_stuck else "mirrored.*NED"
-    return Case(calibrated(folder, change), (0, 1), (says,), never=("put down elsewhere",))
+    return change
+
+
+_CONTRADICTED: Mapping[str, Callable[[int, Any], None]] = {
+    "mirrored.*NED": _by(1, -1, -1),
+    "told 3.28 times as long": _by(1 / 0.3048, 1 / 0.3048),
+    "told 2 times as long": _by(2, 2),
+    "drove backwards": _by(-1, -1),
+    "does not move while cameras see it": _by(0, 0, 0),
+}
 
 
 def other_units(folder: Path, random: np.random.Generator) -> Case:

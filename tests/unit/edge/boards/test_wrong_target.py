@@ -177,6 +177,15 @@ def test_mirrored_pictures_are_called_mirrored(face: Face, other: str) -> None:
     assert ("and write dictionary" in line) is bool(other)
 
 
+def test_checkerboard_of_other_colours_may_be_one_in_mirrored_pictures() -> None:
+    face = checkerboard(8, 6)
+    detector = detector_for([target_of(face)])
+    for picture in shots(face, np.random.default_rng(3), 3):
+        assert detector.detect(picture[:, ::-1]) == ()
+    [line] = detector.misdescribed
+    assert "unless the print is as the file has it: then the pictures are mirrored" in line
+
+
 def test_size_of_another_board_is_taken_back_when_the_described_one_is_seen() -> None:
     face = charuco(7, 5)
     detector = detector_for([target_of(face)])

@@ -49,3 +49,16 @@ def test_rows_that_fit_boards_of_several_widths_tell_nothing_false(shown: list[i
     true = replace(GRID, columns=11, rows=4)
     found = other_size(AS_DESCRIBED, read(true, shown))
     assert found is None or found.face.columns == 11
+
+
+@pytest.mark.parametrize("legacy", [False, True])
+def test_a_board_with_another_first_marker_is_none_with_as_many_rows_more(legacy: bool) -> None:
+    told = replace(GRID, pattern=Pattern.CHARUCO, columns=6, rows=4)
+    true = replace(told, first_marker=12, legacy=legacy)
+    markers = read(true, list(range(12)))
+    markers = Markers(markers.numbers + 12, markers.corners, markers.scores, markers.quads)
+    found = other_size(Reading(Appearance(told, "box", 0), told, False, ()), markers)
+    assert found is not None
+    assert "first_marker = 12" in found.remedy
+    assert "rows" not in found.remedy
+    assert ("legacy = true" in found.remedy) is legacy

@@ -182,6 +182,10 @@ def test_missing_picture_and_empty_folder_are_named(tmp_path: Path) -> None:
         pictures_in(tmp_path / "none")
     with pytest.raises(InputError, match="no pictures in this folder"):
         pictures_in(tmp_path)
+    (tmp_path / "cam0").mkdir()
+    written(tmp_path / "cam0" / "plain.png")
+    with pytest.raises(InputError, match=r"but in those in it \(cam0\); name one"):
+        pictures_in(tmp_path)
 
 
 def test_pictures_of_a_folder_come_by_name(tmp_path: Path) -> None:

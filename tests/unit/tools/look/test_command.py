@@ -152,6 +152,14 @@ def test_pictures_of_two_sizes_are_no_cameras(here: Path, cli: Cli) -> None:
     assert "picture 2 is 65 × 48, those before were 64 × 48" in look(cli, "mixed", status=2).err
 
 
+def test_a_picture_of_another_size_is_left_out_of_a_folder(here: Path, cli: Cli) -> None:
+    sides = (64, 65, 64, 64)
+    write_pictures(here / "mixed", (np.full((48, side), 99, np.uint8) for side in sides))
+    said = look(cli, "mixed", status=1)
+    words = "1 picture left out, not of the size of the first (64 × 48): picture 2 is 65 × 48"
+    assert words in said.out + said.err
+
+
 @pytest.mark.parametrize(
     ("words", "status", "said"),
     [

@@ -74,3 +74,20 @@ def test_rows_of_another_encoding_are_no_picture(
         return
     with pytest.raises(MessageError, match=f"3 times 640 × 12 pixels of {encoding}"):
         grey_of(image)
+
+
+@pytest.mark.parametrize("is_in_step", [False, True])
+def test_brightness_and_colour_by_turns_are_not_grey_and_a_half_of_two_pictures_is(
+    is_in_step: bool,
+) -> None:
+    """YUYV called mono8 would be read as stripes."""
+    width, height = 640, 12
+    across = np.tile(np.arange(width) // 3, (height, 1)).astype(np.uint8)
+    yuyv = np.stack([across, np.full_like(across, 128)], axis=-1)
+    step = 2 * width if is_in_step else width
+    image = RawImage(0, "mono8", False, width, height, step, yuyv.ravel())
+    with pytest.raises(MessageError, match="2 times 640 × 12 pixels of mono8"):
+        grey_of(image)
+    both = np.concatenate([across, across[:, ::-1]], axis=1).ravel()
+    left = RawImage(0, "mono8", False, width, height, 2 * width, both)
+    assert np.array_equal(grey_of(left), across)

@@ -1,5 +1,6 @@
 """Pictures in which nothing of the target is found: the board that they show is named."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -44,3 +45,16 @@ def test_board_that_is_cut_now_here_now_there_is_none() -> None:
         parts.append(part)
     assert squares_seen(parts) == ""
     assert squares_seen(whole) == "6 of the first pictures show a board of 9 × 7 squares"
+
+
+def test_pictures_of_all_but_one_grey_are_said_to_be_so(tmp_path: Path, cli: Cli) -> None:
+    """As behind a cap, or exposed for a hundredth of what they need."""
+    dark = [picture // 20 for picture in shots(charuco(), np.random.default_rng(3), 10)]
+    pictures, target = write_shots(tmp_path, dark), write_target(tmp_path, charuco())
+    said = r"no greys but \d to 1\d of 0 to 255: see to .*exposure"
+    assert re.search(said, cli("detect", pictures, "--target", target).err)
+    out = tmp_path / "lens.yaml"
+    err = cli("intrinsics", pictures, "--target", target, "--out", out, status=1).err
+    assert re.search(said, err)
+    bright = [np.full_like(picture, 120) for picture in dark[:9]]
+    assert squares_seen([*bright, shots(charuco(), np.random.default_rng(3), 1)[0]]) == ""

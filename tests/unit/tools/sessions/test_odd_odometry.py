@@ -65,6 +65,29 @@ def mirrored(_number: int, message: Any) -> None:
     message.pose.pose.orientation.z *= -1
 
 
+def y_alone_mirrored(_number: int, message: Any) -> None:
+    message.pose.pose.position.y *= -1
+
+
+def heading_alone_mirrored(_number: int, message: Any) -> None:
+    message.pose.pose.orientation.z *= -1
+
+
+def reversed_axes(_number: int, message: Any) -> None:
+    message.pose.pose.position.x *= -1
+    message.pose.pose.position.y *= -1
+
+
+def in_feet(_number: int, message: Any) -> None:
+    message.pose.pose.position.x /= 0.3048
+    message.pose.pose.position.y /= 0.3048
+
+
+def by_the_diameter(_number: int, message: Any) -> None:
+    message.pose.pose.position.x *= 2
+    message.pose.pose.position.y *= 2
+
+
 def stuck(_number: int, message: Any) -> None:
     place, turn = message.pose.pose.position, message.pose.pose.orientation
     place.x, place.y, turn.x, turn.y, turn.z, turn.w = 0.0, 0.0, 0.0, 0.0, 0.0, 1.0
@@ -74,6 +97,11 @@ def stuck(_number: int, message: Any) -> None:
     ("change", "words"),
     [
         (mirrored, "only if that is mirrored.*NED"),
+        (y_alone_mirrored, "only if its y axis is to the right"),
+        (heading_alone_mirrored, "only if its headings turn to the right"),
+        (reversed_axes, "only if it drove backwards"),
+        (in_feet, "only if its lengths are told 3.28 times as long"),
+        (by_the_diameter, "only if its lengths are told 2 times as long"),
         (stuck, "does not move while cameras see it in several places"),
     ],
 )

@@ -68,6 +68,11 @@ def test_text_that_is_no_toml_names_the_line() -> None:
         parse('name = "a"\nnonsense\nmore = 1')
 
 
+def test_kalibrs_target_file_is_named_with_the_command_that_reads_it() -> None:
+    with pytest.raises(ConfigError, match=r"f\.toml: this is Kalibr's .*trigpoint target import"):
+        parse("target_type: 'aprilgrid' # gridtype\ntagCols: 6\n")
+
+
 def test_wrong_choice_names_the_choices_and_the_nearest() -> None:
     text = (
         'name = "t"\n[[faces]]\nid = 0\npattern = "chaurco"\ncolumns = 5\nrows = 7\nsquare = 0.04\n'

@@ -283,6 +283,28 @@ def test_board_that_refuses_the_question_is_told_now_and_then() -> None:
     assert ["«Invalid Command»" in event.text for event in told] == [True, True]
 
 
+@pytest.mark.parametrize(("delay_s", "is_told"), [(0.15, True), (0.4, True), (0.05, False)])
+def test_board_that_answers_too_late_is_told_so_and_not_asked_for_its_protocol(
+    delay_s: float, is_told: bool
+) -> None:
+    """One that works through its questions one by one, and waits with each."""
+    protocol, events, free_s = opened(), list[Event](), 0.0
+    due = deque[float]()
+    for now_s in np.arange(0.0, 4.0, 0.01).tolist():
+        now_ns = NOW_NS + to_ns(now_s)
+        events += protocol.elapse(now_ns)
+        for _ in range(protocol.data_to_send(now_ns).count(ENCODERS)):
+            free_s = max(free_s, now_s) + delay_s
+            due.append(free_s)
+        while due and due[0] <= now_s:
+            due.popleft()
+            events += protocol.receive(b"700 800\r\n", now_ns)
+    told = [event.text for event in events if isinstance(event, Mismatched)]
+    assert bool(told) is is_told
+    assert all("«700 800», but always later than 0.1 s" in text for text in told)
+    assert bool(readings(events)) is not is_told
+
+
 @pytest.mark.parametrize("order", ["lrlr", "llrr", "lr--"])
 def test_four_counts_are_read_by_their_order(order: str) -> None:
     columns = {"l": "100", "r": "300", "-": "77"}
