@@ -46,7 +46,6 @@ class MarkedSearch(FaceFinder):
         own = tuple(dict.fromkeys(board.look for board in boards))
         self._wrong = MisdescribedBoards(own, [look.face for look in looks])
         self._denied: list[Located] = []  # of the last picture
-        self._quads = 0  # in the last picture
         self._compared: dict[Appearance, set[int]] = {}
 
     def locate(
@@ -55,13 +54,15 @@ class MarkedSearch(FaceFinder):
         """The boards in a grey picture, or those of some markers in a part of it; inverted ones
         are looked for in its negative."""
         self._denied.clear()
-        self._quads = 0
         found: list[Located] = []
+        seen: dict[tuple[bool, bool], Array] = {}
         for inverted in (False, True):
             boards = [board for board in self._boards if board.look.face.inverted is inverted]
             if boards and not is_over():
                 shown = cv2.bitwise_not(grey) if inverted else grey
-                found += self._search(shown, boards, is_over, within)
+                quads = self._finder.find(shown, is_over, within)
+                seen[inverted, self._finder.parts_touching] = quads
+                found += self._search(shown, quads, boards, is_over, LEAST_PLAIN if within else 1)
         # What is contradicted is not proven by the rest of it; another robot's board is no part.
         found = [
             board for board in found if not any(_overlap(board, other) for other in self._denied)
@@ -71,7 +72,7 @@ class MarkedSearch(FaceFinder):
         # Where a look is seen as the file has it, what is like it elsewhere does not deny the file.
         denied = {board.look for board in self._denied} - {board.look for board in found}
         if denied or not (found or within or is_over()):
-            self._wrong.look(grey, denied, is_over, quads=self._quads)
+            self._wrong.look(grey, denied, is_over, {} if within else seen)
         self.misdescribed = tuple(self._wrong.lines.values())
         return [board for board in found if board.look not in self._wrong.refused]
 
@@ -117,13 +118,16 @@ class MarkedSearch(FaceFinder):
         )
 
     def _search(
-        self, grey: np.ndarray, boards: list[MarkedBoard], is_over: IsOver, within: Region | None
+        self,
+        grey: np.ndarray,
+        quads: Array,
+        boards: list[MarkedBoard],
+        is_over: IsOver,
+        least: int,
     ) -> list[Located]:
-        quads = self._finder.find(grey, is_over, within)
-        self._quads = max(self._quads, len(quads))
+        """The boards that at least so many of the quadrilaterals (n, 4, 2) show."""
         if len(quads) == 0 or is_over():
             return []
-        least = LEAST_PLAIN if within else 1
         scores = {key: reader.scores(grey, quads) for key, reader in self._readers.items()}
         claims: list[tuple[MarkerGroup, MarkedBoard]] = []
         for board in boards:

@@ -9,7 +9,7 @@ of the markers (dictionary, border, negative, mirror image) is tried with every 
 """
 
 from collections import Counter, deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from math import comb, log
 
@@ -68,7 +68,7 @@ class MisdescribedBoards:
         self._waiting = list(readings(tuple(looks)))
         self._firsts = sorted({face.first_marker for face in faces})
         self._ids = max([_MOST_IDS, *(face.first_marker + face.marker_count for face in faces)])
-        self._finders = QuadFinder(parts_touching=True), QuadFinder()
+        self._finders = {True: QuadFinder(parts_touching=True), False: QuadFinder()}
         self._pictures, self._untried = 0, len(self._waiting)
         self._quads: deque[int] = deque(maxlen=_LATELY)
         self._eager = _MOST_EAGER
@@ -105,19 +105,20 @@ class MisdescribedBoards:
         grey: np.ndarray,
         denied: set[Appearance],
         is_over: IsOver = never,
-        *,
-        quads: int = 0,
+        quads: Mapping[tuple[bool, bool], Array] | None = None,
     ) -> None:
         """Look for other boards in a picture in which none was found, or which contradicts those
-        that are `denied`; what there is no time for is looked for in the next one. `quads`: how
-        many dark quadrilaterals are in it."""
+        that are `denied`; what there is no time for is looked for in the next one. `quads`: its
+        dark quadrilaterals (n, 4, 2), as far as they are known, or its negative's, by whether it is
+        that one and whether parts that touch were parted."""
         self._pictures += 1
-        count = len(self._waiting)
+        count, quads = len(self._waiting), quads or {}
+        seen = max(map(len, quads.values()), default=0)
         if not denied and (self._pictures > _AT_ONCE or is_over is not never):
-            count = self._share(count, quads)
-        self._quads.append(quads)
+            count = self._share(count, seen)
+        self._quads.extend([seen] if quads else [])
         tried: list[Reading] = []
-        scene = _Scene(grey, self._finders, self._ids, is_over)
+        scene = _Scene(grey, self._finders, quads, self._ids, is_over)
         for one in self._waiting[:count]:
             if is_over() or scene.read_so_far > _MOST_READ:
                 break
@@ -182,6 +183,8 @@ class _Shown:
         """`ids`: as of `_Scene`."""
         self.grey, self.quads, self._ids = grey, quads, ids
         self._scores: dict[tuple[str, int], Array] = {}
+        self._any: dict[tuple[str, int], Markers] = {}
+        self._plain: dict[tuple[str, int], Markers] = {}
 
     @property
     def read_so_far(self) -> int:
@@ -192,26 +195,42 @@ class _Shown:
         """The reader of a face's dictionary, with its border or another one."""
         return whole_reader(face.dictionary or "", border_bits or face.border_bits, self._ids)
 
-    def likeliest(self, face: Face, least: float, *, is_any: bool = False) -> Markers:
-        """The likeliest of a face's markers, or of any by their ids, for each quadrilateral that
-        scores at least `least`."""
-        key, reader = reader_key(face), self.reader(face)
-        if key not in self._scores:
-            self._scores[key] = reader.scores(self.grey, self.quads)
-        scores = self._scores[key]
-        return reader.likeliest(
-            scores if is_any else scores[:, reader.rows(face)], self.quads, least
-        )
+    def of(self, face: Face) -> Markers:
+        """The likeliest of a face's markers for each quadrilateral that may be a member."""
+        own = self._scores[reader_key(face)][:, self.reader(face).rows(face)]
+        return MarkerReader.likeliest(own, self.quads, LEAST_MEMBER)
+
+    def any(self, face: Face) -> Markers:
+        """The same of any of its dictionary's markers, by their ids."""
+        key = reader_key(face)
+        if key not in self._any:
+            self._scores[key] = self.reader(face).scores(self.grey, self.quads)
+            self._any[key] = MarkerReader.likeliest(self._scores[key], self.quads, LEAST_MEMBER)
+        return self._any[key]
+
+    def plain(self, face: Face) -> Markers:
+        """Those of these that are plainly read, each once."""
+        key = reader_key(face)
+        if key not in self._plain:
+            read = self.any(face)
+            self._plain[key] = read.first(int(np.sum(read.scores >= _PLAINLY))).each_once()
+        return self._plain[key]
 
 
 class _Scene:
     """One picture in every way in which boards are looked for in it."""
 
     def __init__(
-        self, grey: np.ndarray, finders: Sequence[QuadFinder], ids: int, is_over: IsOver
+        self,
+        grey: np.ndarray,
+        finders: Mapping[bool, QuadFinder],
+        quads: Mapping[tuple[bool, bool], Array],
+        ids: int,
+        is_over: IsOver,
     ) -> None:
-        """`ids`: so many markers of each dictionary are read, from its first on."""
-        self._grey, self._finders, self._ids = grey, finders, ids
+        """`finders`: by whether they part what touches; `quads`: that are known, as of `look`;
+        `ids`: so many markers of each dictionary are read, from its first on."""
+        self._grey, self._finders, self._quads, self._ids = grey, finders, quads, ids
         self.is_over = is_over
         self._known: dict[tuple[bool, bool], _Shown] = {}
         self._votes = 0
@@ -242,7 +261,7 @@ class _Scene:
     def all_markers(self, reading: Reading) -> Markers:
         """The markers of a reading's dictionary that are surely read anywhere, by id, each once."""
         shown = self._shown(reading.face.inverted, reading.is_mirrored)
-        read = shown.likeliest(reading.face, _PLAINLY, is_any=True).each_once()
+        read = shown.plain(reading.face)
         self._votes += min(len(read), MOST_VOTERS)
         return read
 
@@ -256,31 +275,34 @@ class _Scene:
     def _shown(self, inverted: bool, is_mirrored: bool) -> _Shown:
         key = (inverted, is_mirrored)
         if key not in self._known:
-            grey = cv2.bitwise_not(self._grey) if inverted else self._grey
-            grey = cv2.flip(grey, 1) if is_mirrored else grey
-            self._known[key] = _Shown(grey, _quads(grey, self._finders), self._ids)
+            if is_mirrored:
+                plain = self._shown(inverted, False)
+                quads = plain.quads[:, ::-1] * (-1, 1) + (self._grey.shape[1] - 1, 0)
+                shown = _Shown(cv2.flip(plain.grey, 1), quads, self._ids)
+            else:
+                grey = cv2.bitwise_not(self._grey) if inverted else self._grey
+                shown = _Shown(grey, self._found(grey, inverted), self._ids)
+            self._known[key] = shown
         return self._known[key]
 
-
-def _quads(grey: np.ndarray, finders: Sequence[QuadFinder]) -> Array:
-    """The dark quadrilaterals (n, 4, 2) that any of the finders sees, each once, as the first has
-    it. A board may have squares that touch its tags: who looks for such goes first, since the other
-    one sees whole clumps of them; it loses small markers beside other squares, which the other one
-    adds."""
-    quads = finders[0].find(grey)
-    for finder in finders[1:]:
-        more = finder.find(grey)
+    def _found(self, grey: np.ndarray, inverted: bool) -> Array:
+        """The dark quadrilaterals (n, 4, 2) that any of the finders sees, each once, as the first
+        has it. A board may have squares that touch its tags: who looks for such goes first, since
+        the other one sees whole clumps of them; it loses small markers beside other squares, which
+        the other one adds."""
+        quads, more = (
+            self._quads[inverted, parts] if (inverted, parts) in self._quads else finder.find(grey)
+            for parts, finder in self._finders.items()
+        )
         sides = np.linalg.norm(more[:, 1] - more[:, 0], axis=-1)
         apart = chebyshev(more.mean(axis=1), quads.mean(axis=1))
-        is_new = np.all(apart > _SAME * sides[:, None], axis=1)
-        quads = np.concatenate([quads, more[is_new]])
-    return quads
+        return np.concatenate([quads, more[np.all(apart > _SAME * sides[:, None], axis=1)]])
 
 
 def _agreeing(face: Face, shown: _Shown) -> int:
     """How many of a face's markers are surely read and agree on one place of it."""
-    markers = shown.likeliest(face, LEAST_MEMBER)
-    if len(markers) < _fewest(face):
+    fewest = _fewest(face)
+    if len(shown.any(face)) < fewest or len(markers := shown.of(face)) < fewest:
         return 0
     return max(
         (

@@ -34,7 +34,7 @@ class QuadFinder:
     def __init__(self, *, parts_touching: bool = False) -> None:
         self._search = _Search()
         self._quads = np.empty((_PASSES * MOST_PIECES, 8))
-        self._parts_touching = parts_touching
+        self.parts_touching = parts_touching
 
     def find(
         self, grey: np.ndarray, is_over: IsOver = never, within: Region | None = None
@@ -53,7 +53,7 @@ class QuadFinder:
             part,
             max(grey.shape),
             1 if within else _PASSES,
-            self._parts_touching,
+            self.parts_touching,
             self._quads,
         )
         return self._quads[:count].reshape(-1, 4, 2) + region.corner

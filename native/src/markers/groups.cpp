@@ -65,8 +65,13 @@ public:
 
     std::vector<std::size_t> from(std::size_t seed, const std::vector<char>& is_free) const {
         std::vector<std::size_t> members = {seed};
-        while (const auto fit = fitted(markers_, members)) {
-            const auto added = agreeing(*fit, members, is_free);
+        for (;;) {
+            // A fit costs more than to see that there is nothing to hold against it.
+            const auto beside = all_beside(members, is_free);
+            if (beside.empty()) break;
+            const auto fit = fitted(markers_, members);
+            if (!fit) break;
+            const auto added = agreeing(*fit, beside);
             if (added.empty()) break;
             members.insert(members.end(), added.begin(), added.end());
         }
@@ -84,12 +89,19 @@ private:
         return is_near;
     }
 
-    std::vector<std::size_t> agreeing(const PlanarFit& fit, const std::vector<std::size_t>& members,
-                                      const std::vector<char>& is_free) const {
+    std::vector<std::size_t> all_beside(const std::vector<std::size_t>& members,
+                                        const std::vector<char>& is_free) const {
+        std::vector<std::size_t> beside;
+        for (std::size_t i = 0; i < markers_.count(); ++i)
+            if (is_free[i] && is_beside(i, members)) beside.push_back(i);
+        return beside;
+    }
+
+    std::vector<std::size_t> agreeing(const PlanarFit& fit,
+                                      const std::vector<std::size_t>& beside) const {
         std::vector<std::size_t> best;
         std::vector<double> nearest;
-        for (std::size_t i = 0; i < markers_.count(); ++i) {
-            if (!is_free[i] || !is_beside(i, members)) continue;
+        for (const std::size_t i : beside) {
             const double off = off_by(fit, markers_, i);
             if (!(off < NEAR)) continue;
             const auto same = std::find_if(best.begin(), best.end(), [&](std::size_t other) {

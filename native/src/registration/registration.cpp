@@ -87,6 +87,22 @@ std::vector<char> clear_of(const Alignment& found) {
     return clear;
 }
 
+// How far a picture is softened, pixels; lines of it side by side, or a line and its next places.
+constexpr int REACH = 4;
+using Lines = std::array<const float*, 2 * REACH + 1>;
+
+// The weighted sum of lines, by how far they are from the middle one.
+TRIGPOINT_WIDE
+void weigh(const Lines& lines, const std::array<float, REACH + 1>& shares, float* __restrict to,
+           std::int64_t count) {
+    for (std::int64_t x = 0; x < count; ++x) {
+        float sum = shares[0] * lines[REACH][x];
+        for (int k = 1; k <= REACH; ++k)
+            sum += shares[k] * (lines[REACH - k][x] + lines[REACH + k][x]);
+        to[x] = sum;
+    }
+}
+
 // The part of a picture about pixels, blurred by SOFTENING; it lies in `memory`.
 PartOfPicture softened(const Grey& grey, const std::vector<Eigen::Vector2d>& pixels,
                        std::vector<std::uint8_t>& memory) {
@@ -102,7 +118,6 @@ PartOfPicture softened(const Grey& grey, const std::vector<Eigen::Vector2d>& pix
                        bottom = bounded(std::ceil(high.y()) + AROUND_PX, grey.height);
     const std::int64_t width = right - part.left, height = bottom - part.top;
     if (width <= 0 || height <= 0) return part;
-    constexpr int REACH = 4;
     std::array<float, REACH + 1> gauss;
     float sum = 0;
     for (int k = 0; k <= REACH; ++k) {
@@ -110,26 +125,23 @@ PartOfPicture softened(const Grey& grey, const std::vector<Eigen::Vector2d>& pix
         sum += (k == 0 ? 1 : 2) * gauss[k];
     }
     for (float& share : gauss) share /= sum;
-    std::vector<float> across(static_cast<std::size_t>(width * height));
+    std::vector<float> across(static_cast<std::size_t>(width * height)), line(width + 2 * REACH);
+    Lines lines;
     for (std::int64_t y = 0; y < height; ++y) {
         const std::uint8_t* from = grey.row(part.top + y) + part.left;
-        float* to = across.data() + y * width;
-        for (std::int64_t x = 0; x < width; ++x) {
-            to[x] = gauss[0] * from[x];
-            for (std::int64_t k = 1; k <= REACH; ++k)
-                to[x] += gauss[k] * (from[std::max<std::int64_t>(x - k, 0)] +
-                                     from[std::min(x + k, width - 1)]);
-        }
+        std::fill_n(std::copy_n(from, width, std::fill_n(line.begin(), REACH, from[0])), REACH,
+                    from[width - 1]);
+        for (std::int64_t k = 0; k <= 2 * REACH; ++k) lines[k] = line.data() + k;
+        weigh(lines, gauss, across.data() + y * width, width);
     }
     memory.resize(static_cast<std::size_t>(width * height));
     for (std::int64_t y = 0; y < height; ++y) {
-        for (std::int64_t x = 0; x < width; ++x) {
-            float value = gauss[0] * across[y * width + x];
-            for (std::int64_t k = 1; k <= REACH; ++k)
-                value += gauss[k] * (across[std::max<std::int64_t>(y - k, 0) * width + x] +
-                                     across[std::min(y + k, height - 1) * width + x]);
-            memory[y * width + x] = static_cast<std::uint8_t>(value + 0.5F);
-        }
+        for (std::int64_t k = 0; k <= 2 * REACH; ++k)
+            lines[k] =
+                across.data() + std::clamp<std::int64_t>(y + k - REACH, 0, height - 1) * width;
+        weigh(lines, gauss, line.data(), width);
+        for (std::int64_t x = 0; x < width; ++x)
+            memory[y * width + x] = static_cast<std::uint8_t>(line[x] + 0.5F);
     }
     part.grey = {memory.data(), height, width};
     return part;

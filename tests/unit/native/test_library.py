@@ -5,41 +5,49 @@ import pytest
 
 from trigpoint.native.library import Handle, In, Kernel, Out
 
-SAMPLED = Kernel(
-    "tp_sampled", In(np.uint8, ("h", "w")), In(np.float64, ("n", 2)), Out(np.float64, ("n",))
+CELLS = Kernel(
+    "tp_cells",
+    In(np.uint8, ("h", "w")),
+    In(np.float64, ("n", 8)),
+    In(np.float64, ("cells", 2)),
+    float,
+    Out(np.float64, ("n", "cells")),
 )
 GREY = np.arange(12, dtype=np.uint8).reshape(3, 4)
-PIXELS = np.array([[0.5, 1.5], [3.0, 2.0]])
+# Its places are the picture's pixels.
+QUADS = np.array([[0.0, 0, 1, 0, 1, 1, 0, 1]])
+PLACES = np.array([[0.5, 1.5], [3.0, 2.0], [0.0, 0.0]])
 
 
 def test_values_between_pixels_are_interpolated() -> None:
-    values = np.zeros(2)
-    SAMPLED(GREY, PIXELS, values)
-    assert values.tolist() == [6.5, 11.0]
+    cells = np.zeros((1, 3))
+    assert CELLS(GREY, QUADS, PLACES, 0.0, cells) == 1
+    seen = np.array([6.5, 11.0, 0.0])
+    assert cells[0] == pytest.approx((seen - seen.mean()) / np.linalg.norm(seen - seen.mean()))
 
 
 @pytest.mark.parametrize(
-    ("grey", "pixels", "values", "error"),
+    ("grey", "quads", "cells", "error"),
     [
-        (GREY.astype(float), PIXELS, np.zeros(2), TypeError),
-        (GREY.tolist(), PIXELS, np.zeros(2), TypeError),
-        (GREY[0], PIXELS, np.zeros(2), ValueError),
-        (GREY[:, ::2], PIXELS, np.zeros(2), ValueError),
-        (GREY, PIXELS[:, :1], np.zeros(2), ValueError),
-        (GREY, PIXELS, np.zeros(1), ValueError),
-        (GREY, PIXELS, np.broadcast_to(0.0, 2), ValueError),
+        (GREY.astype(float), QUADS, np.zeros((1, 3)), TypeError),
+        (GREY.tolist(), QUADS, np.zeros((1, 3)), TypeError),
+        (GREY[0], QUADS, np.zeros((1, 3)), ValueError),
+        (GREY[:, ::2], QUADS, np.zeros((1, 3)), ValueError),
+        (GREY, QUADS[:, :7], np.zeros((1, 3)), ValueError),
+        (GREY, QUADS, np.zeros((2, 3)), ValueError),
+        (GREY, QUADS, np.broadcast_to(0.0, (1, 3)), ValueError),
     ],
 )
 def test_an_array_of_another_kind_is_refused(
-    grey: object, pixels: object, values: object, error: type[Exception]
+    grey: object, quads: object, cells: object, error: type[Exception]
 ) -> None:
-    with pytest.raises(error, match="tp_sampled"):
-        SAMPLED(grey, pixels, values)
+    with pytest.raises(error, match="tp_cells"):
+        CELLS(grey, quads, PLACES, 0.0, cells)
 
 
 def test_a_missing_argument_is_refused() -> None:
-    with pytest.raises(TypeError, match="3 arguments"):
-        SAMPLED(GREY, PIXELS)
+    with pytest.raises(TypeError, match="5 arguments"):
+        CELLS(GREY, QUADS)
 
 
 def test_a_library_of_other_sources_says_what_to_do() -> None:

@@ -9,7 +9,9 @@ import pytest
 from trigpoint.edge.markers import misdescribed
 from trigpoint.edge.markers.misdescribed import MisdescribedBoards
 from trigpoint.edge.markers.other_boards import readings
+from trigpoint.edge.markers.quads import QuadFinder
 from trigpoint.edge.registration.appearance import Appearance
+from trigpoint.geometry.rotation import Array
 from trigpoint.site.target import NOWHERE, Face, Pattern
 
 BOARD = Face(*(0, Pattern.CHARUCO, 5, 7, 0.036, *NOWHERE), marker=0.018, dictionary="DICT_6X6_250")
@@ -40,6 +42,12 @@ def wall() -> np.ndarray:
         marker = cv2.aruco.generateImageMarker(dictionary, int(numbers[number % 250]), SIDE)
         picture[y : y + SIDE, x : x + SIDE] = marker
     return picture
+
+
+def squares(count: int) -> dict[tuple[bool, bool], Array]:
+    """So many dark quadrilaterals, seen in a picture itself."""
+    square = np.array([[0, 0], [9, 0], [9, 9], [0, 9]], float)
+    return {(False, False): np.tile(square + 99, (count, 1, 1))}
 
 
 def test_a_wall_of_markers_is_looked_at_over_several_pictures(tried: list[object]) -> None:
@@ -83,13 +91,13 @@ def test_boards_are_looked_for_again_when_something_comes_in_but_not_for_ever(
     look = Appearance(BOARD, "box", 0)
     boards, picture = MisdescribedBoards([look], [BOARD]), np.full((480, 640), 230, np.uint8)
     for _ in range(100):
-        boards.look(picture, set(), quads=2)
+        boards.look(picture, set(), quads=squares(2))
     before = len(tried)
     for _ in range(10):
-        boards.look(picture, set(), quads=20)
+        boards.look(picture, set(), quads=squares(20))
     assert set(tried[before:]) == set(readings((look,)))
     for _ in range(100):
-        boards.look(picture, set(), quads=20)
+        boards.look(picture, set(), quads=squares(20))
     assert len(tried) - before < 10 * len(set(tried))
 
 
@@ -118,3 +126,19 @@ def test_a_board_contradicted_by_accident_is_used_again_once_seen_for_long() -> 
         assert (look in boards.lines) is (boards.refused == {look})
         said.append(look in boards.lines)
     assert said == [True, False, True]
+
+
+def test_no_quadrilaterals_are_looked_for_twice_in_a_picture(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    looked = list[bool]()
+    find = QuadFinder.find
+
+    def recorded(finder: QuadFinder, grey: np.ndarray) -> Array:
+        looked.append(finder.parts_touching)
+        return find(finder, grey)
+
+    monkeypatch.setattr(QuadFinder, "find", recorded)
+    boards = MisdescribedBoards([Appearance(BOARD, "box", 0)], [BOARD])
+    boards.look(np.full((480, 640), 230, np.uint8), set(), quads=squares(2))
+    assert looked == [True, True, False]  # in the picture, in its negative, in no mirror image
