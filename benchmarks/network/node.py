@@ -1,10 +1,10 @@
 """One node of a network benchmark in a process of its own: sends numbered messages, counts others'.
 
 `python -m benchmarks.network.node ROLE SITE SECONDS LINGER`. On standard output it says «ready»;
-with the next line on standard input it begins; after SECONDS it says what it sent, and with a line
-of what all have sent it goes on until that has come or LINGER seconds are over. Its last line is
-what came of each key: number, when sent and when come in nanoseconds of the monotonic clock, which
-all namespaces share.
+with the next line on standard input it begins; after SECONDS, or LINGER at most later where those
+who listen were away, it says what it sent, and with a line of what all have sent it goes on until
+that has come or LINGER seconds are over. Its last line is what came of each key: number, when sent
+and when come in nanoseconds of the monotonic clock, which all namespaces share.
 """
 
 import json
@@ -32,6 +32,8 @@ Came = tuple[int, int, int]
 
 _STAMP = struct.Struct("<Qq")
 PICTURE_BYTES = 60_000
+_BACK_S = 2.0
+"""So long is sent to who listens again: what was held up comes after what is new."""
 
 
 class Sent(Struct, frozen=True):
@@ -87,7 +89,7 @@ def main() -> None:
         came = {name: array("q") for name in subscriptions}  # so that an hour's take little memory
         print("ready", flush=True)
         sys.stdin.readline()  # until everyone is
-        senders = [Sender(bus, site.name, one, seconds) for one in sent]
+        senders = [Sender(bus, site.name, one, seconds, linger_s) for one in sent]
         listeners = [
             threading.Thread(target=_listen, args=(subscription, came[name], stopping))
             for name, subscription in subscriptions.items()
@@ -126,17 +128,20 @@ def _is_all_there(subscriptions: Mapping[str, Subscription], expected: dict[str,
 class Sender(threading.Thread):
     """Sends one key's messages at their rate; `count`: how many."""
 
-    def __init__(self, bus: Bus, site: str, sent: Sent, seconds: float) -> None:
+    def __init__(self, bus: Bus, site: str, sent: Sent, seconds: float, linger_s: float) -> None:
         super().__init__(name=sent.topic.name)
         self._publisher = bus.publisher(sent.topic, sent.topic.key(site, sent.name))
-        self._sent, self._seconds = sent, seconds
+        self._sent, self._seconds, self._linger_s = sent, seconds, linger_s
         self.count = 0
 
     def run(self) -> None:
         filling = bytes(self._sent.size - _STAMP.size)
         due = time.monotonic()
         until = due + self._seconds
-        while time.monotonic() < until:
+        latest = until + self._linger_s
+        while (now := time.monotonic()) < until:
+            if self._sent.topic is not topics.IMAGE and not self._publisher.has_listener:
+                until = max(until, min(now + _BACK_S, latest))
             time.sleep(max(0.0, due - time.monotonic()))
             if _is_wanted(self._publisher, self._sent):
                 stamp = _STAMP.pack(self.count, time.monotonic_ns())

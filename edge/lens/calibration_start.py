@@ -12,9 +12,9 @@ from msgspec import Struct
 
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.camera import LensModel
-from trigpoint.geometry.rotation import Array
+from trigpoint.geometry.rotation import Array, hat
 
-from .bundle_adjustment import LEAST_DEPTH, Scene, Solution, adjusted
+from .bundle_adjustment import Scene, Solution, adjusted, are_before
 from .calibration_views import FEWEST_CORNERS, View
 
 # Half the field of view along the picture's diagonal, degrees: from tele to fisheye.
@@ -59,7 +59,7 @@ def _guessed(
     places = [
         (view, pose)
         for view in views
-        if (pose := pose_through(camera, view)) is not None and _is_before(pose, view)
+        if (pose := pose_through(camera, view)) is not None and are_before(pose @ view.points)
     ]
     if len(places) < max(_FEWEST, _LEAST_PLACED * len(views)):
         return None
@@ -69,12 +69,6 @@ def _guessed(
     if placed is None:
         return None
     return _Guess(camera, kept, placed.poses, float(np.median(np.abs(placed.errors))))
-
-
-def _is_before(pose: Pose, view: View) -> bool:
-    """Whether all of a view lies before the camera."""
-    points = pose @ view.points
-    return bool(np.all(points[:, 2] > LEAST_DEPTH * np.linalg.norm(points, axis=1)))
 
 
 def _refined(guess: _Guess) -> Solution | None:
@@ -100,17 +94,18 @@ def pose_through(camera: CameraModel, view: View) -> Pose | None:
     known = np.isfinite(flat).all(axis=1)
     if known.sum() < FEWEST_CORNERS:
         return None
-    rays = np.column_stack([flat[known], np.ones(known.sum())])
-    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    rays, places = np.ones((2, known.sum(), 3))
+    rays[:, :2] = flat[known]
+    rays /= np.sqrt(np.einsum("ni,ni->n", rays, rays))[:, None]
     plane = view.points[known, :2]
-    middle, size = plane.mean(axis=0), float(np.abs(plane - plane.mean(axis=0)).max())
-    places = np.column_stack([(plane - middle) / size, np.ones(len(plane))])
-    x, y, z = (rays[:, i, None] * places for i in range(3))
-    none = np.zeros_like(places)
-    rows = np.concatenate(
-        [np.hstack([none, -z, y]), np.hstack([z, none, -x]), np.hstack([-y, x, none])]
-    )
-    homography = np.linalg.svd(rows.T @ rows)[2][-1].reshape(3, 3)
+    middle = plane.mean(axis=0)
+    size = float(np.abs(plane - middle).max())
+    places[:, :2] = (plane - middle) / size
+    # Equations ray × homography place = 0: hat(ray)ᵀ hat(ray) is 1 - ray rayᵀ.
+    along = (rays[:, :, None] * places[:, None]).reshape(-1, 9)
+    normal = (-along.T @ along).reshape(3, 3, 3, 3)
+    normal[(0, 1, 2), :, (0, 1, 2)] += places.T @ places
+    homography = np.linalg.eigh(normal.reshape(9, 9))[1][:, 0].reshape(3, 3)
     if np.sum((places @ homography.T) * rays) < 0:
         homography = -homography
     return _pose_of(homography, middle, size)
@@ -119,11 +114,11 @@ def pose_through(camera: CameraModel, view: View) -> Pose | None:
 def _pose_of(homography: Array, middle: Array, size: float) -> Pose | None:
     """The pose whose plane a homography maps, from the plane's own coordinates about `middle`."""
     axes = homography[:, :2] / size
-    length = float(np.sqrt(np.linalg.norm(axes[:, 0]) * np.linalg.norm(axes[:, 1])))
+    length = float(np.sqrt(np.prod(np.linalg.norm(axes, axis=0))))
     if not length > 0:
         return None
     first, second = (axes / length).T
-    left, _, right = np.linalg.svd(np.column_stack([first, second, np.cross(first, second)]))
+    left, _, right = np.linalg.svd(np.column_stack([first, second, hat(first) @ second]))
     rotation = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
     translation = homography[:, 2] / length - rotation[:, :2] @ middle
     return Pose(rotation, translation)

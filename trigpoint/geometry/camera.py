@@ -4,6 +4,7 @@ Pixels have (0, 0) at the centre of the top-left pixel. Formulae: OpenCV's docum
 `calib3d` and of `fisheye`.
 """
 
+import math
 from enum import StrEnum
 from functools import cache
 
@@ -80,7 +81,7 @@ class CameraModel(Struct, frozen=True):
     def __post_init__(self) -> None:
         if self.width <= 0 or self.height <= 0 or not (self.fx > 0 and self.fy > 0):
             raise ValueError("a camera needs a positive width, height and focal length")
-        if not np.all(np.isfinite([self.fx, self.fy, self.cx, self.cy, *self.distortion])):
+        if not all(map(math.isfinite, (self.fx, self.fy, self.cx, self.cy, *self.distortion))):
             raise ValueError("a camera's intrinsics must be finite numbers")
         missing = len(self.model.coefficients) - len(self.distortion)
         if missing < 0:
@@ -162,14 +163,15 @@ class CameraModel(Struct, frozen=True):
     ) -> tuple[Array, Array, Array]:
         """Pixels and their derivatives, empty where these are not asked for."""
         flat, shape = _rows(points, 3)
+        parameters = self.parameters
         pixels = np.empty((len(flat), 2))
         by_points = np.empty((len(flat) * by_point, 6))
-        by_each = np.empty((len(flat) * by_parameters, 2 * len(self.parameters)))
-        _PROJECTED(self.parameters, flat, pixels, by_points, by_each)
+        by_each = np.empty((len(flat) * by_parameters, 2 * len(parameters)))
+        _PROJECTED(parameters, flat, pixels, by_points, by_each)
         return (
             pixels.reshape(*shape, 2),
             by_points.reshape(*(shape if by_point else (0,)), 2, 3),
-            by_each.reshape(*(shape if by_parameters else (0,)), 2, len(self.parameters)),
+            by_each.reshape(*(shape if by_parameters else (0,)), 2, len(parameters)),
         )
 
     def sees(self, points: ArrayLike, *, margin_px: float = -0.5) -> np.ndarray:

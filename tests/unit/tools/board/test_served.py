@@ -151,7 +151,10 @@ def test_a_picture_leaves_the_camera_only_while_it_is_looked_at(
     assert eventually(lambda: not sender.has_listener)
 
 
-def test_no_command_goes_to_the_bus(desk: Desk, site: BoardSite) -> None:
+def test_no_command_goes_to_the_bus(
+    desk: Desk, site: BoardSite, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("trigpoint.tools.board.pictures._WAIT_S", 0.1)
     asked: list[str] = []
     own = {"Origin": f"http://127.0.0.1:{desk.port}"}
     with desk.broker.session() as bus:
@@ -207,7 +210,7 @@ def test_a_page_that_does_not_read_is_dropped_and_its_connection_ends(
         with desk.events() as quick:
             number, until_s = 0, time.monotonic() + 60
             while feed.dropped == 0:
-                feed.update({"a": {"x": str(number) * 20000}}, time.time())
+                feed.update({"a": {"x": str(number) * 200_000}}, time.time())
                 number += 1
                 assert time.monotonic() < until_s
                 message = next(quick)  # the other one goes on

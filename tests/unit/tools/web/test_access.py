@@ -188,6 +188,7 @@ def test_what_only_reads_takes_no_commands(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_a_login_is_asked_for_and_lasts(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("trigpoint.tools.board.app._LOGIN_DELAY_S", 0.05)
     with served_board(make_site(), monkeypatch, access=Access(token=TOKEN)) as desk:
         assert desk.ask("/").headers["location"] == "/login"
         for path in ("/events", "/past?at=1", "/metrics", "/board.js", "/camera/c1/look"):
