@@ -85,14 +85,14 @@ class BatchSolution:
 def _solved(data: DataSet, state: State) -> Solved | None:
     """Solve over what an explanation uses, until its noise is stable; None where nothing is
     located. Raises ValueError where that does not converge."""
-    events, rounds = Events(data.site.fusion.priors), count()
+    events, rounds, looks = Events(data.site.fusion.priors), count(), count()
 
     def changes(solved: Solved) -> bool:
-        round_ = next(rounds)
-        if round_ >= _MOST_ROUNDS:
+        if next(rounds) >= _MOST_ROUNDS:
             return False
         changed = leave_out_contradicting(data, solved.assembled, solved.state, events)
-        if round_ < _MOST_LOOKS:
+        # By a solution that followed a wrong sighting it would fit again.
+        if not changed and next(looks) < _MOST_LOOKS:
             changed |= take_back(data, solved.assembled, solved.state, events)
             changed |= standstill_noise.share_out(data, solved.assembled, solved.state)
         return odometry_noise.learn(data, solved.assembled, solved.state) or changed

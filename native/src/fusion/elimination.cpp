@@ -163,19 +163,22 @@ void Elimination::substitute(const Eigen::VectorXd& dense, Eigen::MatrixXd& node
     }
 }
 
-// A node is eliminated before those on which it depends: of all these the covariance is known.
+// Of what a node is eliminated onto the covariance is known before its own: from the last node that
+// is eliminated down. A node's columns are among those of its neighbours.
 void Elimination::covariances(const Eigen::MatrixXd& dense, const Take& take) const {
     const Index n = static_cast<Index>(order_.size());
     std::unordered_map<Index, Joint> above;
+    Eigen::MatrixXd across = Eigen::MatrixXd::Zero(d_, dense.cols());
     const std::function<void(Index, Index)> descend = [&](Index node, Index reach) {
         const Joint& mine = above.emplace(node, joint(node, reach, above, dense)).first->second;
-        take(node, mine.own, mine.by_dense);
+        for (const Range& range : filled_[node])
+            across.middleCols(range.first, range.count) =
+                mine.by_dense.middleCols(range.at, range.count);
+        take(node, mine.own, across);
         if (reach > 1) descend(node - reach / 2, reach / 2);
-        for (Index half = reach / 2; half > 0; half /= 2)
-            if (node + half < n) {
-                descend(node + half, half);
-                break;
-            }
+        Index half = reach / 2;
+        while (half > 0 && node + half >= n) half /= 2;
+        if (half > 0) descend(node + half, half);
         above.erase(node);
     };
     Index reach = 1;
@@ -186,45 +189,47 @@ void Elimination::covariances(const Eigen::MatrixXd& dense, const Take& take) co
 Elimination::Joint Elimination::joint(Index node, Index reach,
                                       const std::unordered_map<Index, Joint>& above,
                                       const Eigen::MatrixXd& dense) const {
-    const Index d = d_, n = static_cast<Index>(order_.size()), begin = filled_.begin(node);
-    const auto factor = factor_.middleCols(d * node, d).triangularView<Eigen::Lower>();
-    Eigen::MatrixXd by = rows_.middleCols(begin, filled_.begin(node + 1) - 1 - begin);
-    factor.transpose().solveInPlace(by);
-    Joint found{node - reach, node + reach < n ? node + reach : -1, {}, {}, {}, {}};
-    found.by_left = found.by_right = found.own = Eigen::MatrixXd::Zero(d, d);
-    found.by_dense = Eigen::MatrixXd::Zero(d, dense.cols());
-    const Joint* left = found.left >= 0 ? &above.at(found.left) : nullptr;
+    const Ranges& ranges = filled_[node];
+    const Index d = d_, n = static_cast<Index>(order_.size()), begin = filled_.begin(node),
+                width = filled_.begin(node + 1) - begin - 2 * d - 1;
+    Joint found;
+    found.right = node + reach < n ? node + reach : -1;
+    const Joint* left = node >= reach ? &above.at(node - reach) : nullptr;
     const Joint* right = found.right >= 0 ? &above.at(found.right) : nullptr;
-    const auto by_left = by.leftCols(d), by_right = by.middleCols(d, d);
-    // Of two neighbours one was eliminated onto the other.
-    const auto across = [&]() -> Eigen::MatrixXd {
-        if (left->right == found.right) return left->by_right;
-        return right->by_left.transpose();
-    };
-    const auto add = [&](const auto& factors, const Eigen::MatrixXd& by_dense,
-                         const Eigen::MatrixXd& with_left, const Eigen::MatrixXd& with_right) {
-        found.by_dense -= factors * by_dense;
-        if (left) found.by_left -= factors * with_left;
-        if (right) found.by_right -= factors * with_right;
-    };
-    if (left) add(by_left, left->by_dense, left->own, right ? across() : Eigen::MatrixXd());
-    if (right)
-        add(by_right, right->by_dense,
-            left ? Eigen::MatrixXd(across().transpose()) : Eigen::MatrixXd(), right->own);
-    for (const Range& range : filled_[node]) {
-        const auto columns = [&](const Joint* other) -> Eigen::MatrixXd {
-            if (!other) return {};
-            return other->by_dense.middleCols(range.first, range.count).transpose();
-        };
-        add(by.middleCols(2 * d + range.at, range.count),
-            dense.middleRows(range.first, range.count), columns(left), columns(right));
+    // The covariance of what it depends on: of its neighbours and its columns.
+    Eigen::MatrixXd known = Eigen::MatrixXd::Zero(2 * d + width, 2 * d + width);
+    if (left) known.topLeftCorner(d, d) = left->own;
+    if (right) known.block(d, d, d, d) = right->own;
+    if (left && right) {  // of two neighbours one was eliminated onto the other
+        if (left->right == found.right)
+            known.block(0, d, d, d) = left->by_right;
+        else
+            known.block(0, d, d, d) = right->by_left.transpose();
     }
-    found.own = factor.transpose().solve(factor.solve(Eigen::MatrixXd::Identity(d, d)).eval());
-    if (left) found.own -= found.by_left * by_left.transpose();
-    if (right) found.own -= found.by_right * by_right.transpose();
-    for (const Range& range : filled_[node])
-        found.own -= found.by_dense.middleCols(range.first, range.count) *
-                     by.middleCols(2 * d + range.at, range.count).transpose();
+    for (const Range& range : ranges) {
+        const auto with = [&](Index row, const Joint* other, const Ranges& theirs) {
+            if (other)
+                known.block(row, 2 * d + range.at, d, range.count) =
+                    other->by_dense.middleCols(place(theirs, range), range.count);
+        };
+        if (left) with(0, left, filled_[node - reach]);
+        if (right) with(d, right, filled_[found.right]);
+        for (const Range& other : ranges)
+            known.block(2 * d + range.at, 2 * d + other.at, range.count, other.count) =
+                dense.block(range.first, other.first, range.count, other.count);
+    }
+    known.triangularView<Eigen::StrictlyLower>() = known.transpose();
+    const auto factor = factor_.middleCols(d * node, d).triangularView<Eigen::Lower>();
+    Eigen::MatrixXd by = rows_.middleCols(begin, 2 * d + width);
+    if (!left) by.leftCols(d).setZero();
+    if (!right) by.middleCols(d, d).setZero();
+    factor.transpose().solveInPlace(by);
+    const Eigen::MatrixXd across = -by * known;
+    found.own = factor.transpose().solve(factor.solve(Eigen::MatrixXd::Identity(d, d)).eval()) -
+                across * by.transpose();
+    found.by_left = across.leftCols(d);
+    found.by_right = across.middleCols(d, d);
+    found.by_dense = across.rightCols(width);
     return found;
 }
 

@@ -85,8 +85,9 @@ public:
                    Eigen::VectorXd& gradient);
     // The nodes' step -A⁻¹(g + B y), (d, n), for a step y of the dense part.
     void substitute(const Eigen::VectorXd& dense, Eigen::MatrixXd& nodes) const;
-    // Hands over each node with its covariance (d, d) and that with the dense part (d, q), of which
-    // the covariance (q, q) is `dense`. Kept at once are those of a few nodes.
+    // Hands over each node with its covariance (d, d) and that (d, q) with those columns of the
+    // dense part, whose covariance (q, q) is `dense`, that it is coupled with. Kept at once are
+    // those of a few nodes.
     using Take = std::function<void(Index, const Eigen::MatrixXd&, const Eigen::MatrixXd&)>;
     void covariances(const Eigen::MatrixXd& dense, const Take& take) const;
 
@@ -101,15 +102,17 @@ private:
     // with its left (d) and right (d) neighbour and the dense part, and its gradient (1).
     Eigen::MatrixXd factor_, rows_;
 
-    // A node's covariance, and those with its neighbours and with the dense part.
+    // A node's covariance, and those with its neighbours and with the columns that it is coupled
+    // with; its right neighbour.
     struct Joint {
-        Index left, right;
         Eigen::MatrixXd own, by_left, by_right, by_dense;
+        Index right;
     };
 
     auto rows(Index node) {
         return rows_.middleCols(filled_.begin(node), filled_.begin(node + 1) - filled_.begin(node));
     }
+    // Of a node that is eliminated onto those `reach` before and after it.
     Joint joint(Index node, Index reach, const std::unordered_map<Index, Joint>& above,
                 const Eigen::MatrixXd& dense) const;
     void onto(Index neighbour, const Ranges& ranges,

@@ -88,6 +88,13 @@ struct Stood {
 
 }  // namespace
 
+Pictured trigpoint::pictured(const Picture& picture) {
+    const Eigen::Index rows = 2 * picture.corners;
+    Pictured seen{ByPoses(rows, 6), RowMajor(rows, picture.columns()), Eigen::VectorXd(rows)};
+    picture.terms(picture.seen, seen.residual, seen.jacobian, seen.by_base);
+    return seen;
+}
+
 std::vector<Innovation> trigpoint::innovations(const Pictured& seen, const std::vector<Part>& parts,
                                                const Eigen::VectorXd& step,
                                                Eigen::MatrixXd covariance, const double* variances,

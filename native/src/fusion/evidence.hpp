@@ -3,6 +3,7 @@
 
 #include <vector>
 
+#include "fusion/corners.hpp"
 #include "fusion/pose_fitting.hpp"
 
 namespace trigpoint {
@@ -20,6 +21,7 @@ struct Pictured {
     RowMajor jacobian;
     Eigen::VectorXd residual;
 };
+Pictured pictured(const Picture& picture);
 
 // One view's corners in its picture, and whether the state was estimated without it.
 struct Part {

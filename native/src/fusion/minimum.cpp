@@ -7,7 +7,6 @@
 #include <stdexcept>
 
 #include "border.hpp"
-#include "fusion/evidence.hpp"
 
 using namespace trigpoint;
 
@@ -156,6 +155,43 @@ Found trigpoint::minimised(const Argument* given, const Problem& problem, Linear
     return found;
 }
 
+bool trigpoint::covariances(const Problem& problem, const Linearised& linearised,
+                            const TakeCovariance& take) {
+    const Equations& equations = linearised.equations;
+    if (!problem.has(equations)) throw std::invalid_argument("equations of another problem");
+    Reduced reduced(equations);
+    Eigen::MatrixXd dense;
+    if (!std::isfinite(equations.cost) || !reduced.invert(equations, dense)) return false;
+    std::vector<std::vector<std::vector<Index>>> at_node;  // by robot; behind the inner ones: last
+    for (const ChainEquations& chain : equations.chains)
+        at_node.emplace_back(static_cast<std::size_t>(chain.nodes() + 1));
+    for (Index p = 0; p < problem.pictures(); ++p) {
+        auto& nodes = at_node[static_cast<std::size_t>(problem.robot_of(p))];
+        const Index node = problem.inner_node_of(p);
+        (node < 0 ? nodes.back() : nodes[static_cast<std::size_t>(node)]).push_back(p);
+    }
+    for (std::size_t r = 0; r < at_node.size(); ++r) {
+        for (const Index p : at_node[r].back()) {
+            const std::vector<Index> columns = problem.columns_of(p);
+            take(p, dense(columns, columns));
+        }
+        reduced.chain(r).covariances(
+            dense, [&](Index node, const Eigen::MatrixXd& own, const Eigen::MatrixXd& across) {
+                for (const Index p : at_node[r][static_cast<std::size_t>(node)]) {
+                    const std::vector<Index> columns = problem.columns_of(p);
+                    const Index d = own.rows(), q = static_cast<Index>(columns.size());
+                    Eigen::MatrixXd joint(d + q, d + q);
+                    joint.topLeftCorner(d, d) = own;
+                    joint.topRightCorner(d, q) = across(Eigen::all, columns);
+                    joint.bottomLeftCorner(q, d) = joint.topRightCorner(d, q).transpose();
+                    joint.bottomRightCorner(q, q) = dense(columns, columns);
+                    take(p, joint);
+                }
+            });
+    }
+    return true;
+}
+
 bool System::set(const Linearised& linearised) {
     Eigen::MatrixXd matrix;
     Eigen::VectorXd gradient;
@@ -220,86 +256,5 @@ TRIGPOINT_KERNEL(tp_full_system) {
     Eigen::Map<RowMajor>(arguments[1].array.as<double>(), size, size) = system.covariance;
     Eigen::Map<Eigen::VectorXd>(arguments[2].array.as<double>(), size) = system.step;
     arguments[3].array.as<double>()[0] = system.log_determinant;
-    return 1;
-}
-
-// (the equations at a minimum, its state and the problem as `Given` says, and then sightings (v,
-// 3): picture, first corner in it, corners; variances (6,) of a pose anywhere in the room; the χ²
-// by which the state may be off the minimum; χ² and ln |S| (v, 2) of their innovations, infinite
-// where one determines no pose): 1, or 0 where an unknown is not determined.
-TRIGPOINT_KERNEL(tp_innovations) {
-    enum { SIGHTINGS = COLUMNS + 1, ROOM, REST, INNOVATIONS };
-    const Problem problem(arguments);
-    const auto& equations = static_cast<Linearised*>(arguments[EQUATIONS].object)->equations;
-    const Array& asked = arguments[SIGHTINGS].array;
-    Eigen::Map<RowMajor> found(arguments[INNOVATIONS].array.as<double>(), asked.shape[0], 2);
-    const auto sighting = [&](Index v) { return asked.as<std::int64_t>() + 3 * v; };
-    if (!problem.has(equations)) throw std::invalid_argument("equations of another problem");
-    std::vector<std::vector<Index>> in_picture(static_cast<std::size_t>(problem.pictures()));
-    for (Index v = 0; v < asked.shape[0]; ++v) {
-        if (*sighting(v) < 0 || *sighting(v) >= problem.pictures())
-            throw std::invalid_argument("a sighting in a picture that is none");
-        in_picture[static_cast<std::size_t>(*sighting(v))].push_back(v);
-    }
-    Reduced reduced(equations);
-    Eigen::MatrixXd dense;
-    if (!std::isfinite(equations.cost) || !reduced.invert(equations, dense)) return 0;
-    const State state = problem.state();
-    const Asked how{std::numeric_limits<double>::infinity(),
-                    Eigen::Map<const Vector6d>(arguments[ROOM].array.as<double>()), 0,
-                    arguments[REST].number};
-    const auto judge = [&](Index p, const std::vector<Pose>& faces,
-                           const Eigen::MatrixXd& covariance) {
-        const auto& mine = in_picture[static_cast<std::size_t>(p)];
-        if (mine.empty()) return;
-        const Picture picture = problem.picture(state, p, faces);
-        const Index rows = 2 * picture.corners;
-        Pictured seen{ByPoses(rows, 6), RowMajor(rows, picture.columns()), Eigen::VectorXd(rows)};
-        picture.terms(picture.seen, seen.residual, seen.jacobian, seen.by_base);
-        std::vector<Part> parts;
-        for (const Index v : mine) {
-            const std::int64_t first = sighting(v)[1], count = sighting(v)[2];
-            if (first < 0 || count < 0 || first > picture.corners - count)
-                throw std::invalid_argument("a sighting beside its picture");
-            parts.push_back({first, count, false});
-        }
-        std::vector<std::uint8_t> is_wild(static_cast<std::size_t>(picture.corners));
-        const auto all =
-            innovations(seen, parts, Eigen::VectorXd::Zero(covariance.rows()), covariance,
-                        problem.deviation(p), how, reinterpret_cast<bool*>(is_wild.data()));
-        for (std::size_t i = 0; i < mine.size(); ++i)
-            found.row(mine[i]) << (all[i].is_determined ? all[i].chi2 : 0),
-                all[i].is_determined ? all[i].log_spread : -std::numeric_limits<double>::infinity();
-    };
-    for (std::size_t r = 0; r < equations.chains.size(); ++r) {
-        const Index nodes = equations.chains[r].nodes();
-        const std::vector<Pose> faces = problem.faces(state, static_cast<Index>(r));
-        std::vector<std::vector<Index>> at_node(static_cast<std::size_t>(nodes + 1));
-        for (Index p = 0; p < problem.pictures(); ++p)
-            if (problem.robot_of(p) == static_cast<Index>(r)) {
-                const Index node = problem.inner_node_of(p);
-                at_node[static_cast<std::size_t>(node < 0 ? nodes : node)].push_back(p);
-            }
-        const auto here = [&](Index node) -> const std::vector<Index>& {
-            return at_node[static_cast<std::size_t>(node)];
-        };
-        for (const Index p : here(nodes)) {
-            const std::vector<Index> columns = problem.columns_of(p);
-            judge(p, faces, dense(columns, columns));
-        }
-        reduced.chain(r).covariances(
-            dense, [&](Index node, const Eigen::MatrixXd& own, const Eigen::MatrixXd& across) {
-                for (const Index p : here(node)) {
-                    const std::vector<Index> columns = problem.columns_of(p);
-                    const Index d = own.rows(), q = static_cast<Index>(columns.size());
-                    Eigen::MatrixXd joint(d + q, d + q);
-                    joint.topLeftCorner(d, d) = own;
-                    joint.topRightCorner(d, q) = across(Eigen::all, columns);
-                    joint.bottomLeftCorner(q, d) = joint.topRightCorner(d, q).transpose();
-                    joint.bottomRightCorner(q, q) = dense(columns, columns);
-                    judge(p, faces, joint);
-                }
-            });
-    }
     return 1;
 }

@@ -1,6 +1,8 @@
 // The minimum of a least-squares problem, and what its equations there tell of the unknowns.
 #pragma once
 
+#include <functional>
+
 #include "fusion/problem.hpp"
 
 namespace trigpoint {
@@ -21,6 +23,12 @@ struct Found {
 // The minimum of a problem given as `Given` says, whose state becomes that of the minimum, and the
 // equations there. Throws Undetermined where a motion is not determined, std::invalid_argument.
 Found minimised(const Argument* given, const Problem& problem, Linearised& linearised);
+
+// Hands over the covariance of each picture's unknowns, in the order of its derivatives, by the
+// equations at a minimum of the problem; false where an unknown is not determined. Throws
+// std::invalid_argument where they are not that problem's.
+using TakeCovariance = std::function<void(Index, const Eigen::MatrixXd&)>;
+bool covariances(const Problem& problem, const Linearised& linearised, const TakeCovariance& take);
 
 // The inverse of the whole.
 struct System {

@@ -253,13 +253,6 @@ private:
         return found;
     }
 
-    static Pictured pictured(const Picture& picture) {
-        const Index rows = 2 * picture.corners;
-        Pictured seen{ByPoses(rows, 6), RowMajor(rows, picture.columns()), Eigen::VectorXd(rows)};
-        picture.terms(picture.seen, seen.residual, seen.jacobian, seen.by_base);
-        return seen;
-    }
-
     // Where a view's corners begin in their picture, which begins at `first` of all.
     Index begin(Index view, Index first, const Picture& picture) const {
         const Index found = whole(ROWS)[view] - first;
