@@ -63,9 +63,12 @@ def solve(
     Corners beyond `huber` sigmas have a linear cost (Huber). Has converged when the predicted
     decrease of the cost, a χ², is less than `tolerance`.
     """
-    found = minimise(
-        problem, start, huber=huber, tolerance=tolerance, most_iterations=most_iterations
+    return _solution(
+        minimise(problem, start, huber=huber, tolerance=tolerance, most_iterations=most_iterations)
     )
+
+
+def _solution(found: Minimum) -> Solution:
     reduced = found.equations.reduced()
     return Solution(found.state, reduced, found.cost, found.iterations, found.has_converged)
 
@@ -93,11 +96,13 @@ def linearise(problem: Problem, state: State) -> Equations:
 
 
 class Solved(Struct, frozen=True):
-    """The last problem and its solution; `state`: all cameras and robots, also unused ones."""
+    """The last problem, its solution and the `equations` there; `state`: all cameras and robots,
+    also unused ones."""
 
     state: State
     assembled: Assembled
     solution: Solution
+    equations: Equations
     iterations: int
 
 
@@ -153,13 +158,13 @@ def _solve_once(
     problem, start = assembled.problem, assembled.start
     if not is_begun and any(batch.jitter is not None for batch in problem.batches):
         start = begun(problem, start)
-    solution = solve(problem, start, tolerance=tolerance)
-    found = solution.state
+    minimum = minimise(problem, start, huber=np.inf, tolerance=tolerance, most_iterations=50)
+    found, solution = minimum.state, _solution(minimum)
     for index, node in assembled.node_of.items():
         entry = data.entries[index]
         entry.map_from_base = found.robots[entry.observation.robot].map_from_base[node]
     merged = State(state.cameras | found.cameras, state.robots | found.robots)
-    return Solved(merged, assembled, solution, solution.iterations)
+    return Solved(merged, assembled, solution, minimum.equations, solution.iterations)
 
 
 def _is_consistent(before: State, after: State) -> bool:

@@ -17,17 +17,11 @@ from trigpoint.fusion.association.explanation import Explanation
 from trigpoint.fusion.estimators.crept import crept
 from trigpoint.fusion.estimators.explained_data import explained, left_open
 from trigpoint.fusion.estimators.marginals import camera_estimates
-from trigpoint.fusion.model.assembly import Assembled
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.problem import Problem, State
 from trigpoint.fusion.solver.filter import Filter
 from trigpoint.fusion.solver.innovations import innovations
-from trigpoint.fusion.solver.levenberg_marquardt import (
-    Solution,
-    Solved,
-    linearise,
-    solve_consistently,
-)
+from trigpoint.fusion.solver.levenberg_marquardt import Solution, Solved, solve_consistently
 from trigpoint.geometry.rotation import Array
 
 from . import odometry_noise, standstill_noise
@@ -90,7 +84,7 @@ def _solved(data: DataSet, state: State) -> Solved | None:
     def changes(solved: Solved) -> bool:
         if next(rounds) >= _MOST_ROUNDS:
             return False
-        changed = leave_out_contradicting(data, solved.assembled, solved.state, events)
+        changed = leave_out_contradicting(data, solved, events)
         # By a solution that followed a wrong sighting it would fit again.
         if not changed and next(looks) < _MOST_LOOKS:
             changed |= take_back(data, solved.assembled, solved.state, events)
@@ -123,9 +117,7 @@ def _say_earlier(data: DataSet, known: Filter) -> None:
             move.covariance = estimates[move.name].covariance
 
 
-def leave_out_contradicting(
-    data: DataSet, assembled: Assembled, state: State, events: Events
-) -> bool:
+def leave_out_contradicting(data: DataSet, solved: Solved, events: Events) -> bool:
     """Leave out the worst of each robot's sightings that contradict the solution; whether any was.
 
     The association judges a visit's sightings by that visit, most to first order. In the solution
@@ -133,7 +125,7 @@ def leave_out_contradicting(
     than one whose board may be anywhere. A wrong one that pulls good ones away is at least twice as
     bad as they are, so those that are less than half as bad as the worst are judged again later.
     """
-    problem, found = assembled.problem, list[tuple[str, int, int]]()
+    problem, found = solved.assembled.problem, list[tuple[str, int, int]]()
     sightings, first = list[tuple[int, int, int]](), 0
     for batch in problem.batches:
         for row, source in enumerate(batch.sources.tolist()):
@@ -143,8 +135,8 @@ def leave_out_contradicting(
                     found.append((batch.robot, source, order))
         first += len(batch.sources)
     asked = np.array(sightings, dtype=np.int64).reshape(-1, 3)
-    equations, room = linearise(problem, state), events.room_variances
-    chi2, spread = innovations(equations, state, asked, room_variances=room, rest=_TOLERANCE)
+    state, room = solved.state, events.room_variances
+    chi2, spread = innovations(solved.equations, state, asked, room_variances=room, rest=_TOLERANCE)
     excess = events.over_anywhere(chi2, spread).tolist()
     worst = dict.fromkeys(problem.chains, 0.0)
     for (robot, *_), over in zip(found, excess, strict=True):

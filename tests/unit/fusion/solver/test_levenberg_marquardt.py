@@ -365,7 +365,8 @@ def test_two_solves_in_a_row_that_do_not_converge_end_it(
     def solved(*_: Any, **_begun: bool) -> Any:
         robot = SimpleNamespace(scales=np.full(2, float(len(found))))
         state = SimpleNamespace(cameras={}, robots={"r1": robot})
-        found.append(Solved(cast(Any, state), cast(Any, None), _solution(has_converged), 1))
+        none = cast(Any, None)
+        found.append(Solved(cast(Any, state), none, _solution(has_converged), none, 1))
         return found[-1]
 
     monkeypatch.setattr(levenberg_marquardt, "_solve_once", solved)
