@@ -8,8 +8,6 @@ happened, the solver what follows from it:
 - in the data set's entries: verdicts, outliers, readings, shares, and where the robot stood.
 """
 
-from itertools import count
-
 import numpy as np
 
 from trigpoint.fusion.association.events import Events
@@ -18,6 +16,7 @@ from trigpoint.fusion.estimators.crept import crept
 from trigpoint.fusion.estimators.explained_data import explained, left_open
 from trigpoint.fusion.estimators.marginals import camera_estimates
 from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.observations import Verdict
 from trigpoint.fusion.model.problem import Problem, State
 from trigpoint.fusion.solver.filter import Filter
 from trigpoint.fusion.solver.innovations import innovations
@@ -79,17 +78,21 @@ class BatchSolution:
 def _solved(data: DataSet, state: State) -> Solved | None:
     """Solve over what an explanation uses, until its noise is stable; None where nothing is
     located. Raises ValueError where that does not converge."""
-    events, rounds, looks = Events(data.site.fusion.priors), count(), count()
+    events, looks, rounds = Events(data.site.fusion.priors), 0, 0
 
     def changes(solved: Solved) -> bool:
-        if next(rounds) >= _MOST_ROUNDS:
+        nonlocal looks, rounds
+        if rounds == _MOST_ROUNDS:
             return False
         changed = leave_out_contradicting(data, solved, events)
         # By a solution that followed a wrong sighting it would fit again.
-        if not changed and next(looks) < _MOST_LOOKS:
+        if not changed and looks < _MOST_LOOKS:
+            looks += 1
             changed |= take_back(data, solved.assembled, solved.state, events)
             changed |= standstill_noise.share_out(data, solved.assembled, solved.state)
-        return odometry_noise.learn(data, solved.assembled, solved.state) or changed
+        changed |= odometry_noise.learn(data, solved.assembled, solved.state)
+        rounds += changed
+        return changed
 
     solved = solve_consistently(data, state, tolerance=_TOLERANCE, is_begun=False, changes=changes)
     if solved is not None and not solved.solution.has_converged:
@@ -136,16 +139,19 @@ def leave_out_contradicting(data: DataSet, solved: Solved, events: Events) -> bo
         first += len(batch.sources)
     asked = np.array(sightings, dtype=np.int64).reshape(-1, 3)
     state, room = solved.state, events.room_variances
-    chi2, spread = innovations(solved.equations, state, asked, room_variances=room, rest=_TOLERANCE)
+    chi2, spread = innovations(solved.equations, state, asked, room_variances=room)
     excess = events.over_anywhere(chi2, spread).tolist()
     worst = dict.fromkeys(problem.chains, 0.0)
-    for (robot, *_), over in zip(found, excess, strict=True):
+    left_out = set[int]()
+    for over, (robot, source, order) in sorted(zip(excess, found, strict=True), reverse=True):
         worst[robot] = max(worst[robot], over)
-    is_any = False
-    for (robot, source, order), over in zip(found, excess, strict=True):
-        if over > worst[robot] / 2:
-            entry, is_any = data.entries[source], True
+        # Of two that contradict each other in one picture, the other may be right.
+        if over > worst[robot] / 2 and source not in left_out:
+            left_out.add(source)
+            entry = data.entries[source]
             wild = list(entry.observation.wild)
             wild[order] = np.ones_like(wild[order])
             entry.observation = entry.observation.with_outliers(tuple(wild))
-    return is_any
+            if not entry.observation.used_views:
+                entry.observation = entry.observation.judged(Verdict.REJECTED)
+    return bool(left_out)

@@ -11,7 +11,7 @@ using namespace trigpoint;
 namespace {
 
 // What follows the tables of a problem.
-enum { SIGHTINGS = COLUMNS + 1, ROOM, REST, INNOVATIONS };
+enum { SIGHTINGS = COLUMNS + 1, ROOM, INNOVATIONS };
 
 // The sightings that are asked about.
 class Sightings {
@@ -21,7 +21,7 @@ public:
           problem_(problem),
           state_(problem.state()),
           how_{std::numeric_limits<double>::infinity(),
-               Eigen::Map<const Vector6d>(given[ROOM].array.as<double>()), 0, given[REST].number},
+               Eigen::Map<const Vector6d>(given[ROOM].array.as<double>()), 1, 0},
           in_picture_(static_cast<std::size_t>(problem.pictures())) {
         for (Index v = 0; v < given[SIGHTINGS].array.shape[0]; ++v) {
             if (sighting(v)[0] < 0 || sighting(v)[0] >= problem.pictures())
@@ -30,8 +30,9 @@ public:
         }
     }
 
-    // Writes the innovations of those of a picture, by the covariance of its unknowns.
-    void judge(Index p, const Eigen::MatrixXd& covariance) const {
+    // Writes the innovations of those of a picture, by the step of its unknowns to the minimum and
+    // their covariance.
+    void judge(Index p, const Eigen::VectorXd& step, const Eigen::MatrixXd& covariance) const {
         const std::vector<Index>& mine = in_picture_[static_cast<std::size_t>(p)];
         if (mine.empty()) return;
         const std::vector<Pose> faces = problem_.faces(state_, problem_.robot_of(p));
@@ -44,9 +45,9 @@ public:
             parts.push_back({first, count, false});
         }
         std::vector<std::uint8_t> is_wild(static_cast<std::size_t>(picture.corners));
-        const std::vector<Innovation> found = innovations(
-            pictured(picture), parts, Eigen::VectorXd::Zero(covariance.rows()), covariance,
-            problem_.deviation(p), how_, reinterpret_cast<bool*>(is_wild.data()));
+        const std::vector<Innovation> found =
+            innovations(pictured(picture), parts, step, covariance, problem_.deviation(p), how_,
+                        reinterpret_cast<bool*>(is_wild.data()));
         for (std::size_t i = 0; i < mine.size(); ++i) {
             double* written = given_[INNOVATIONS].array.as<double>() + 2 * mine[i];
             written[0] = found[i].is_determined ? found[i].chi2 : 0;
@@ -69,15 +70,17 @@ private:
 
 }  // namespace
 
-// (the equations at a minimum, its state and the problem as `Given` says, and then sightings (v,
-// 3): picture, first corner in it, corners; variances (6,) of a pose anywhere in the room; the χ²
-// by which the state may be off the minimum; χ² and ln |S| (v, 2) of their innovations, the latter
-// -inf where one determines no pose): 1, or 0 where an unknown is not determined.
+// (the equations near a minimum, the state and the problem as `Given` says, and then sightings (v,
+// 3): picture, first corner in it, corners; variances (6,) of a pose anywhere in the room; χ² and
+// ln |S| (v, 2) of their innovations at the minimum, the latter -inf where one determines no pose):
+// 1, or 0 where an unknown is not determined.
 TRIGPOINT_KERNEL(tp_innovations) {
     const Problem problem(arguments);
     const Sightings sightings(arguments, problem);
     const auto& linearised = *static_cast<Linearised*>(arguments[EQUATIONS].object);
-    return covariances(problem, linearised, [&](Index picture, const Eigen::MatrixXd& covariance) {
-        sightings.judge(picture, covariance);
-    });
+    return unknowns(
+        problem, linearised,
+        [&](Index picture, const Eigen::VectorXd& step, const Eigen::MatrixXd& covariance) {
+            sightings.judge(picture, step, covariance);
+        });
 }

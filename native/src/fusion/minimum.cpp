@@ -41,32 +41,18 @@ public:
         return true;
     }
 
-    // The covariance of the dense part; false where it is not determined.
-    bool invert(const Equations& equations, Eigen::MatrixXd& covariance) {
-        if (!set(equations, 0) || !(information.diagonal().array() > 0).all()) return false;
-        const Eigen::VectorXd scale = information.diagonal().array().rsqrt();
-        information = (scale.asDiagonal() * information * scale.asDiagonal()).eval();
-        if (!factorised(information)) return false;
-        covariance = scale.asDiagonal();
-        information.triangularView<Eigen::Lower>().solveInPlace(covariance);
-        covariance = (covariance.transpose() * covariance).eval();
-        return true;
-    }
-
-    const Elimination& chain(std::size_t which) const { return chains_[which]; }
-
     // The damped step, and the decrease of χ² that it promises; false where it is not determined.
     bool solve(const Equations& equations, double damping, Step& step, double& promised) {
         if (!set(equations, damping)) return false;
         information.diagonal() += damping * information.diagonal().cwiseAbs();
         if (!(information.diagonal().array() > 0).all()) return false;
-        const Eigen::VectorXd scale = information.diagonal().array().rsqrt();
-        information = (scale.asDiagonal() * information * scale.asDiagonal()).eval();
+        scale_ = information.diagonal().array().rsqrt();
+        information = (scale_.asDiagonal() * information * scale_.asDiagonal()).eval();
         if (!factorised(information)) return false;
-        step.dense = -scale.cwiseProduct(gradient);
+        step.dense = -scale_.cwiseProduct(gradient);
         information.triangularView<Eigen::Lower>().solveInPlace(step.dense);
         information.triangularView<Eigen::Lower>().transpose().solveInPlace(step.dense);
-        step.dense = step.dense.cwiseProduct(scale).eval();
+        step.dense = step.dense.cwiseProduct(scale_).eval();
         promised = -equations.gradient.dot(step.dense);
         step.nodes.resize(chains_.size());
         for (std::size_t c = 0; c < chains_.size(); ++c) {
@@ -76,8 +62,18 @@ public:
         return true;
     }
 
+    // The covariance of the dense part, once the undamped step is known.
+    Eigen::MatrixXd covariance() const {
+        Eigen::MatrixXd root = scale_.asDiagonal();
+        information.triangularView<Eigen::Lower>().solveInPlace(root);
+        return root.transpose() * root;
+    }
+
+    const Elimination& chain(std::size_t which) const { return chains_[which]; }
+
 private:
     std::vector<Elimination> chains_;
+    Eigen::VectorXd scale_;
 };
 
 // The whole matrix of equations, with nothing eliminated, and the gradient: the inner nodes chain
@@ -155,13 +151,16 @@ Found trigpoint::minimised(const Argument* given, const Problem& problem, Linear
     return found;
 }
 
-bool trigpoint::covariances(const Problem& problem, const Linearised& linearised,
-                            const TakeCovariance& take) {
+bool trigpoint::unknowns(const Problem& problem, const Linearised& linearised,
+                         const TakeUnknowns& take) {
     const Equations& equations = linearised.equations;
     if (!problem.has(equations)) throw std::invalid_argument("equations of another problem");
     Reduced reduced(equations);
-    Eigen::MatrixXd dense;
-    if (!std::isfinite(equations.cost) || !reduced.invert(equations, dense)) return false;
+    Step step;
+    double promised = 0;
+    if (!std::isfinite(equations.cost) || !reduced.solve(equations, 0, step, promised))
+        return false;
+    const Eigen::MatrixXd dense = reduced.covariance();
     std::vector<std::vector<std::vector<Index>>> at_node;  // by robot; behind the inner ones: last
     for (const ChainEquations& chain : equations.chains)
         at_node.emplace_back(static_cast<std::size_t>(chain.nodes() + 1));
@@ -173,19 +172,21 @@ bool trigpoint::covariances(const Problem& problem, const Linearised& linearised
     for (std::size_t r = 0; r < at_node.size(); ++r) {
         for (const Index p : at_node[r].back()) {
             const std::vector<Index> columns = problem.columns_of(p);
-            take(p, dense(columns, columns));
+            take(p, step.dense(columns), dense(columns, columns));
         }
         reduced.chain(r).covariances(
             dense, [&](Index node, const Eigen::MatrixXd& own, const Eigen::MatrixXd& across) {
                 for (const Index p : at_node[r][static_cast<std::size_t>(node)]) {
                     const std::vector<Index> columns = problem.columns_of(p);
                     const Index d = own.rows(), q = static_cast<Index>(columns.size());
+                    Eigen::VectorXd way(d + q);
+                    way << step.nodes[r].col(node), step.dense(columns);
                     Eigen::MatrixXd joint(d + q, d + q);
                     joint.topLeftCorner(d, d) = own;
                     joint.topRightCorner(d, q) = across(Eigen::all, columns);
                     joint.bottomLeftCorner(q, d) = joint.topRightCorner(d, q).transpose();
                     joint.bottomRightCorner(q, q) = dense(columns, columns);
-                    take(p, joint);
+                    take(p, way, joint);
                 }
             });
     }

@@ -24,11 +24,12 @@ struct Found {
 // equations there. Throws Undetermined where a motion is not determined, std::invalid_argument.
 Found minimised(const Argument* given, const Problem& problem, Linearised& linearised);
 
-// Hands over the covariance of each picture's unknowns, in the order of its derivatives, by the
-// equations at a minimum of the problem; false where an unknown is not determined. Throws
-// std::invalid_argument where they are not that problem's.
-using TakeCovariance = std::function<void(Index, const Eigen::MatrixXd&)>;
-bool covariances(const Problem& problem, const Linearised& linearised, const TakeCovariance& take);
+// Hands over each picture's unknowns, in the order of its derivatives: their step to the minimum,
+// and their covariance there, by the equations of the problem near it; false where an unknown is
+// not determined. Throws std::invalid_argument where they are not that problem's.
+using TakeUnknowns =
+    std::function<void(Index, const Eigen::VectorXd& step, const Eigen::MatrixXd& covariance)>;
+bool unknowns(const Problem& problem, const Linearised& linearised, const TakeUnknowns& take);
 
 // The inverse of the whole.
 struct System {

@@ -123,7 +123,7 @@ private:
     void read_cameras();
     void read_robots();
     void read_pictures();
-    // The estimated faces that the last picture read shows.
+    // The estimated faces of the last picture read; of one that is padded also the first.
     std::vector<Index> faces_in(Index picture) const;
 
     // The columns of the dense part that a term depends on, as they follow each other in it.

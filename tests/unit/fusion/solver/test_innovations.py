@@ -38,12 +38,14 @@ def shown(jitter: Jitter | None, *, known: bool) -> tuple[Minimum, np.ndarray]:
 
 
 def expected(found: Minimum, system: System, batch: Batch, row: int, corners: slice) -> Array:
-    """The χ² and ln |S| of a pose of its own for these corners, by the inverse of the whole."""
+    """The χ² and ln |S| at the minimum of a pose of its own for corners, by the inverse of the
+    whole."""
     problem = system.problem
     jacobian, residual, columns = batch_jacobian(problem, batch, found.state)
     nodes = system.node_rows(batch.robot, int(batch.nodes[row]))
     rows = np.concatenate([nodes, system.dense_row + columns])
     by, left = jacobian[row].reshape(-1, jacobian.shape[-1]), residual[row].reshape(-1)
+    left = left + by @ system.step[rows]
     by_base = base_jacobian(batch, found.state)[row]
     own = np.zeros_like(by_base)
     own[corners] = by_base[corners]
@@ -65,9 +67,7 @@ def test_innovations_are_those_of_the_whole_system(jitter: Jitter | None, known:
     found, asked = shown(jitter, known=known)
     problem, system = found.equations.problem, found.equations.system()
     assert min(len(chain) for chain in problem.chains.values()) > 16
-    chi2, spread = innovations(
-        found.equations, found.state, asked, room_variances=1e6 * ROOM, rest=0.0
-    )
+    chi2, spread = innovations(found.equations, found.state, asked, room_variances=1e6 * ROOM)
     first = 0
     for batch in problem.batches:
         for at in np.flatnonzero((asked[:, 0] >= first) & (asked[:, 0] < first + len(batch.nodes))):
@@ -76,3 +76,24 @@ def test_innovations_are_those_of_the_whole_system(jitter: Jitter | None, known:
             own = expected(found, system, batch, picture - first, corners)
             np.testing.assert_allclose([chi2[at], spread[at]], own, rtol=1e-3, atol=1e-3)
         first += len(batch.nodes)
+
+
+def test_what_is_left_of_the_way_to_the_minimum_contradicts_nothing() -> None:
+    """All is right; a camera that two sightings place is still off by many of their sigmas."""
+    data = small_data(noise_px=0.2, sightings=15)
+    assembled = assemble(data, first_state(data, off=0.02), list(range(len(data.entries))))
+    whole = minimise(
+        assembled.problem, assembled.start, huber=np.inf, tolerance=1e-9, most_iterations=50
+    )
+    short = minimise(
+        assembled.problem, assembled.start, huber=np.inf, tolerance=0.0, most_iterations=1
+    )
+    asked = np.array(
+        [(row, 0, 4) for row in range(sum(len(b.nodes) for b in assembled.problem.batches))]
+    )
+    there, here = (
+        innovations(found.equations, found.state, asked, room_variances=ROOM)
+        for found in (whole, short)
+    )
+    assert short.cost > whole.cost + 1.0
+    np.testing.assert_allclose(here[0], there[0], rtol=0.2, atol=2.0)
