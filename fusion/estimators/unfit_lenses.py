@@ -13,6 +13,7 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
+from trigpoint.fusion.association.events import EVIDENCE
 from trigpoint.fusion.model.assembly import lens_sigmas
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.problem import Priors, Problem, State, layout_of
@@ -22,9 +23,6 @@ from trigpoint.geometry.camera import LensModel
 from trigpoint.geometry.chi_square import chi2_limit
 from trigpoint.geometry.rotation import Array
 
-# The probability that a lens which is the camera's is doubted; models of noise are not so good in
-# their tails that less would mean anything.
-_SIGNIFICANCE = 1e-6
 # The χ² of a pose (6,) that its covariance allows with one in a hundred.
 _BEYOND = chi2_limit(6, 1e-2)
 # Prior sigmas of what a site file takes as known: odometry's scales, and faces' mounting (m, rad).
@@ -54,7 +52,7 @@ def unfit_lenses(
         return {}
     problem = _freed(data, problem, state, given)
     change = _Change(linearise(problem, state).reduced(), problem.priors, max(1.0, scale))
-    limit, found = _SIGNIFICANCE / len(given), dict[str, str]()
+    limit, found = EVIDENCE / len(given), dict[str, str]()
     for names in _by_model(state, given):
         each = {name: change.chi2([name]) for name in names}
         beyond = chi2_limit(len(change.layout.lens[names[0]]), limit)
