@@ -15,6 +15,7 @@ from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
 
 from .residuals import CameraResiduals
+from .unfit_lenses import UnfitLens
 
 
 class CameraEstimate(Struct, frozen=True):
@@ -122,6 +123,10 @@ class Live(Protocol):
         """The residuals of a camera's corners at the last solution; None where the estimator does
         not solve for all poses of the robot at once."""
         return None
+
+    def unfit_lenses(self) -> dict[str, UnfitLens]:
+        """Camera -> what its pictures have against the lens that is given, at the last solution."""
+        return {}
 
 
 class Estimator(Live, Protocol):

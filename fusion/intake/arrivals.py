@@ -12,6 +12,7 @@ from msgspec import Struct, structs
 from trigpoint.base.clock import to_ns, to_seconds
 from trigpoint.base.words import counted
 from trigpoint.contract.messages import Mended, Message, Odometry, Sightings
+from trigpoint.fusion.estimators.unfit_lenses import UnfitLens
 from trigpoint.fusion.model.odometry import OdometryTrack
 from trigpoint.fusion.model.readings import Readings
 from trigpoint.map.network import Network
@@ -69,7 +70,7 @@ class Arrivals:
     `misdescribed`: camera -> what its pictures show in place of the target file's boards;
     `clocks`: camera -> whose stamps lie otherwise to its own than to the times of recording;
     `unused`: camera -> why pictures of it were left out, as the pipeline says; `odometry`: what is
-    odd about that."""
+    odd about that; `lenses`: camera -> what its pictures have against the lens that is given."""
 
     def __init__(self, site: Site, tracks: Mapping[str, OdometryTrack]) -> None:
         self._tracks = tracks
@@ -84,6 +85,7 @@ class Arrivals:
         self.clocks: dict[str, str] = {}
         self._exchanged: dict[str, str] = {}
         self.unused: dict[str, str] = {}
+        self.lenses: dict[str, UnfitLens] = {}
 
     def add(self, node: str, message: Message) -> None:
         """Note a message of a camera or robot; what a robot's odometry says, by `add_odometry`."""
@@ -121,7 +123,12 @@ class Arrivals:
         described = [f"{name}: {words}" for name, words in wrong if name in self.seen]
         apart = self.apart
         clocks = [f"{name}: {words}" for name, words in self.clocks.items() if name not in apart]
-        return [*self.odometry.texts, *self._exchanged.values(), *described, *clocks]
+        lenses = [
+            f"{name}: its pictures do not fit its lens: {lens.words}; calibrate it (trigpoint "
+            'intrinsics), or write intrinsics = "estimate"'
+            for name, lens in self.lenses.items()
+        ]
+        return [*self.odometry.texts, *self._exchanged.values(), *described, *clocks, *lenses]
 
     @property
     def apart(self) -> dict[str, str]:

@@ -2,7 +2,7 @@
 
 import math
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Annotated, Literal
@@ -13,6 +13,7 @@ from trigpoint.base.errors import InputError, OperationError, writing
 from trigpoint.base.terminal import Progress, table, waiting
 from trigpoint.base.words import counted, two_decimals
 from trigpoint.fusion.estimators.results import Results
+from trigpoint.fusion.estimators.unfit_lenses import UnfitLens
 from trigpoint.fusion.pipeline import Pipeline
 from trigpoint.map.building import attached_plan, load_plan
 from trigpoint.map.network import ON_ONE_SIGHTING, CameraRecord, encode_network
@@ -88,6 +89,7 @@ def main(
         typer.echo(f"written to {folder}; open {folder / REPORT} in a browser")
     _check_used(results, [*pipeline.arrivals.doubts, *results.doubts])
     _check_told(sorted(pipeline.arrivals.odometry.otherwise))
+    _check_lenses(pipeline.arrivals.lenses)
 
 
 def _worked_out(task: Task) -> Pipeline:
@@ -133,6 +135,15 @@ def _check_told(robots: Sequence[str]) -> None:
         raise OperationError(
             f"do not use these cameras: they rest on the odometry of {', '.join(robots)}, which is "
             "told otherwise than it is read; correct what the note above says"
+        )
+
+
+def _check_lenses(lenses: Mapping[str, UnfitLens]) -> None:
+    """Raise OperationError where cameras are elsewhere because of lenses that are not theirs."""
+    if any(lens.is_harmful for lens in lenses.values()):
+        raise OperationError(
+            "do not use these cameras: they are farther off than their sigmas, since pictures do "
+            f"not fit the lens of {', '.join(sorted(lenses))}; do what the note above says"
         )
 
 
