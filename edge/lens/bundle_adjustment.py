@@ -224,6 +224,7 @@ class _Equations(Struct, frozen=True, eq=False):
                 camera = camera.with_parameters(parameters)
         except (np.linalg.LinAlgError, ValueError):  # or no focal length is left
             return None
+        # One by one: most calls are of one view, and of that an array takes seven times as long.
         turns = np.array([exp(turn) for turn in moves[:, 3:]]) @ self.at.rotation
         places = self.at.translation + moves[:, :3]
         found = _evaluated(self.scene, camera, turns, places, self.scale)

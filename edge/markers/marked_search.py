@@ -72,7 +72,7 @@ class MarkedSearch(FaceFinder):
         # Where a look is seen as the file has it, what is like it elsewhere does not deny the file.
         denied = {board.look for board in self._denied} - {board.look for board in found}
         if denied or not (found or within or is_over()):
-            self._wrong.look(grey, denied, is_over, {} if within else seen)
+            self._wrong.look(grey, denied, is_over, quads={} if within else seen)
         self.misdescribed = tuple(self._wrong.lines.values())
         return [board for board in found if board.look not in self._wrong.refused]
 

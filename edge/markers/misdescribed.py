@@ -105,6 +105,7 @@ class MisdescribedBoards:
         grey: np.ndarray,
         denied: set[Appearance],
         is_over: IsOver = never,
+        *,
         quads: Mapping[tuple[bool, bool], Array] | None = None,
     ) -> None:
         """Look for other boards in a picture in which none was found, or which contradicts those

@@ -39,12 +39,14 @@ MOST_VOTERS, READINGS_A_VOTER = 40, 200
 
 class OtherSize(Struct, frozen=True):
     """A board that may be meant by a look, as far as it is seen: it may go on below. `numbers`:
-    (k,) its markers that agree, of which `which` (k,) of those that were read."""
+    (k,) its markers that agree, of which `which` (k,) of those that were read; `otherwise`: boards
+    with other first markers on which as many agree."""
 
     reading: Reading
     face: Face
     numbers: np.ndarray
     which: np.ndarray
+    otherwise: tuple["OtherSize", ...] = ()
 
     @property
     def look(self) -> Appearance:
@@ -90,15 +92,22 @@ class OtherSize(Struct, frozen=True):
         told = self.look.face
         return [*([] if self._is_as_large(told) else size), *self._changes(told)]
 
+    def _beside_others(self) -> str:
+        """The same of one of several that may be meant."""
+        hidden = ", its first rows hidden" if self.numbers.min() > 0 else ""
+        return f"{', '.join(self._words())}{hidden}"
+
     @property
     def remedy(self) -> str:
         """What is seen, and what to do, in one line."""
+        words = ", ".join(self._words())
+        if self.otherwise:
+            words = ", or one with ".join(x._beside_others() for x in (self, *self.otherwise))
         is_mirrored = self.reading.is_mirrored
         seen, steps = ("a mirrored board", f"{UNMIRROR}, and ") if is_mirrored else ("a board", "")
         return (
-            f"{self.look.words}: the pictures show {seen} with {', '.join(self._words())}, so it "
-            "is not used; "
-            f"{steps}compare the target file with the print"
+            f"{self.look.words}: the pictures show {seen} with {words}, so it is not "
+            f"used; {steps}compare the target file with the print"
         )
 
 
@@ -125,9 +134,13 @@ def other_size(
     is_own = boards[:1] == [(reading.face.pattern, reading.face.columns)]
     if not is_own and len(set(boards)) != 1:
         return None
-    # It begins with the least marker that is read, or has rows above that nobody saw.
+    # It begins with the least marker that is read, or has rows before that nobody saw.
     alike = [one for one, board in zip(best, boards, strict=True) if board == boards[0]]
-    return _voted(reading, min(alike, key=lambda one: one[1].differences)[0], read)
+    alike.sort(key=lambda one: one[1].differences)
+    found = _voted(reading, alike[0][0], read)
+    others = {each.face.first_marker: each for _, each in reversed(alike)}
+    others.pop(alike[0][1].face.first_marker)
+    return found and replace(found, otherwise=tuple(others.values()))
 
 
 def _voted(reading: Reading, face: Face, read: Markers) -> OtherSize | None:

@@ -49,7 +49,7 @@ class Frame(Struct, frozen=True):
 
     `passed_over`: how many pictures before it were left out, since they came faster than the
     camera's rate in the site file, or were the same again. `is_frozen`: the camera has given this
-    very picture for so long that it says nothing of its time.
+    very picture for so long that it says nothing of its time. `name`: the file's, where it is one.
     """
 
     picture: np.ndarray
@@ -57,6 +57,7 @@ class Frame(Struct, frozen=True):
     stamp: Stamp = Stamp.SOURCE
     passed_over: int = 0
     is_frozen: bool = False
+    name: str = ""
 
 
 class Unreadable(Struct, frozen=True):

@@ -89,7 +89,7 @@ class DirectoryFrames:
                 yield Unreadable(str(reason))
                 continue
             self._first = self._first or file
-            yield Frame(picture, self._clock.now_ns())
+            yield Frame(picture, self._clock.now_ns(), name=file.name)
             due_ns = max(due_ns, self._clock.elapsed_ns())
         if trouble is not None and self._first is None and not stopping.is_set():
             raise trouble

@@ -7,6 +7,7 @@ sensor, so pictures that are turned differently cannot be one camera's set.
 import mmap
 import struct
 from collections.abc import Iterable
+from itertools import islice
 from pathlib import Path
 
 import cv2
@@ -35,17 +36,19 @@ _ENDS_BYTES = 1 << 16
 """So far from a file's ends is it looked for, except in a TIFF, which says where it is."""
 _ORIENTATION = 0x112
 _UPRIGHT = 1
+# More names than these nobody reads.
+_MOST_NAMED = 5
 
 
 def pictures_in(folder: Path) -> list[Path]:
     """The picture files of a folder by name; raise InputError where it is none or has none."""
     pictures = listed_pictures(folder)
     if not pictures:
-        inside = [f.name for f in sorted(folder.iterdir()) if f.is_dir() and listed_pictures(f)]
-        if inside:
+        folders = (f.name for f in sorted(folder.iterdir()) if f.is_dir() and listed_pictures(f))
+        if inside := list(islice(folders, _MOST_NAMED + 1)):
+            names = ", ".join([*inside[:_MOST_NAMED], *(["…"] * (len(inside) > _MOST_NAMED))])
             raise InputError(
-                f"{folder}: no pictures in this folder, but in those in it ({', '.join(inside)}); "
-                "name one"
+                f"{folder}: no pictures in this folder, but in those in it ({names}); name one"
             )
         known = " ".join(sorted(PICTURE_SUFFIXES))
         raise InputError(f"{folder}: no pictures in this folder; put files in it ({known})")

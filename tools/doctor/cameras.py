@@ -6,7 +6,7 @@ from itertools import islice
 
 from msgspec import Struct
 
-from trigpoint.base.checks import Check
+from trigpoint.base.checks import Check, Level
 from trigpoint.base.clock import SteadyClock, to_ns, to_seconds
 from trigpoint.base.errors import InputError, OperationError, TrigpointError
 from trigpoint.base.words import counted
@@ -18,7 +18,7 @@ from trigpoint.site.config import Site
 from trigpoint.site.target import load_target
 from trigpoint.tools.pictures.account import PictureAccount
 from trigpoint.tools.pictures.detect import stills
-from trigpoint.tools.pictures.unlike import squares_seen
+from trigpoint.tools.pictures.unlike import greys_seen, squares_seen
 
 LOOK_S = 3.0
 _OPENING_S = 8.0
@@ -28,7 +28,7 @@ _PICTURES = 10
 _SLOW = 0.7
 """A camera that gives less than this share of its `rate` is reported."""
 _OLD_S = 1.0
-_COMPARE = "compare its pattern, columns and rows with the print"
+_COMPARE = "and none of the target file's; compare its pattern, columns and rows with the print"
 
 
 class Glance(Struct, frozen=True):
@@ -156,16 +156,16 @@ def check_boards(site: Site, camera: str) -> list[Check]:
         for still in islice(stills(given, account=account), _PICTURES):
             found += len(detector.detect(still.picture))
         said = account.lines()
-        unlike = "" if found or detector.misdescribed else squares_seen(given)
+        told: list[tuple[Level, str]] = [("error", line) for line in detector.misdescribed]
+        if not (found or told):
+            squares = squares_seen(given)
+            seen = f"{squares}, {_COMPARE}" if squares else greys_seen(given)
+            told = [("warning", seen)] if seen else []
     except TrigpointError as reason:
         return [Check(f"pictures of {camera}", "warning", str(reason), "mend the source")]
     pictures = [Check(f"pictures of {camera}", "warning", line) for line in said]
     # Each says what is wrong, and after the last semicolon what to do.
     boards = [
-        Check(f"boards of {camera}", "error", *s.rpartition("; ")[::2])
-        for s in detector.misdescribed
+        Check(f"boards of {camera}", level, *line.rpartition("; ")[::2]) for level, line in told
     ]
-    if unlike:
-        text = f"{unlike}, and none of the target file's"
-        boards.append(Check(f"boards of {camera}", "warning", text, _COMPARE))
     return pictures + boards

@@ -95,7 +95,8 @@ class Look:
         self._guide = Guide(wishes.config)
         self._pictures = self._with_target = 0
         self._size = (0, 0)
-        self._left_out: list[str] = []
+        # How many were left out for their size, and the first of them in words.
+        self._left_out, self._odd = 0, ""
         self._written: tuple[Path, ...] = ()
         self._lack = "no picture came; see whether it is on"
         self._last: tuple[Shown, np.ndarray] | None = None
@@ -121,7 +122,8 @@ class Look:
 
     def run(self) -> Result:
         """Look; raises what the source raises, InputError for pictures of another size than the
-        lens or those before, and OperationError where no picture came."""
+        lens or those before (of a folder, where they are half or more: fewer are left out), and
+        OperationError where no picture came."""
         try:
             with self._opened() as source:
                 for frame in source.frames(self._stopping):
@@ -149,7 +151,7 @@ class Look:
 
     def _take(self, frame: Frame) -> None:
         picture = eight_bits(frame.picture)
-        if not self._is_of_one_size(picture):
+        if not self._is_of_one_size(picture, frame.name):
             return
         self._pictures += 1
         is_still = self._scheme == "dir"
@@ -163,7 +165,7 @@ class Look:
         self._last = self._shown(frame, seen, is_held=len(usable) == len(seen)), picture
         self._tell(*self._last)
 
-    def _is_of_one_size(self, picture: np.ndarray) -> bool:
+    def _is_of_one_size(self, picture: np.ndarray, name: str) -> bool:
         """Whether a picture is used: of a folder, those of another size than the first are left
         out. Raises InputError."""
         height, width = picture.shape[:2]
@@ -174,15 +176,15 @@ class Look:
                 check_size(self.name, config, lens, picture.shape)
         if (width, height) == self._size:
             return True
-        number = self._pictures + len(self._left_out) + 1
-        self._left_out.append(f"picture {number} is {width} × {height}")
+        self._odd = self._odd or f"{name or f'picture {self._pictures + 1}'} is {width} × {height}"
+        self._left_out += 1
         if self._scheme != "dir":
             raise self._mixed()
         return False
 
     def _mixed(self) -> InputError:
         return InputError(
-            f"{self._left_out[0]}, those before were {self._size[0]} × {self._size[1]}; give "
+            f"{self._odd}, those before were {self._size[0]} × {self._size[1]}; give "
             "pictures of one camera at one size"
         )
 
@@ -192,8 +194,9 @@ class Look:
         if not self._left_out:
             return []
         size = f"{self._size[0]} × {self._size[1]}"
-        count = counted(len(self._left_out), "picture")
-        return [f"{count} left out, not of the size of the first ({size}): {self._left_out[-1]}"]
+        count = counted(self._left_out, "picture")
+        more = ", …" if self._left_out > 1 else ""
+        return [f"{count} left out, not of the size of the first ({size}): {self._odd}{more}"]
 
     def _is_usable(self, seen: Seen) -> bool:
         """Whether a rolling shutter bends a face by no more than a lens bears."""
@@ -247,13 +250,13 @@ class Look:
         hints = [*self._tracker.misdescribed, *([_FROZEN] if is_frozen else [])]
         least = LEAST_PICTURES if self._scheme == "dir" else _LEAST_LIVE
         is_unseen = not self._with_target and self._pictures >= least
-        return [*hints, *([NOTHING_NEAR] if is_unseen and not hints else []), *self._odd_sizes]
+        return [*hints, *([NOTHING_NEAR] if is_unseen and not hints else [])]
 
     def _ended(self) -> Result:
         """Take what there is: where the source has ended, the lens of all views."""
         if self._last is None:
             raise OperationError(f"{self.name}: {self._lack}")
-        if len(self._left_out) >= self._pictures:
+        if self._left_out >= self._pictures:
             raise self._mixed()
         missing = ""
         if self._wishes.out is not None:
@@ -282,6 +285,7 @@ class Look:
         words = f"the lens is in {self._wishes.out}" if self._written else missing
         return replace(
             shown,
+            hints=[*shown.hints, *self._odd_sizes],
             lens=found and lens_of(found),
             written=str(self._wishes.out) if self._written else "",
             advice="",

@@ -30,9 +30,9 @@ class Lens(Struct, frozen=True):
 
 class Shown(Struct, frozen=True):
     """A moment. `stamp`: names the picture; `facts`: what and how much, in words; `hints`: what the
-    target file has wrong; `next`: the need that `advice` is about; `coverage`: corners of the kept
-    views by field, row by row; `trouble`: why the views lead to no lens
-    yet; `over`: how it ended, "" while it runs."""
+    target file has wrong, and at the end what was left out; `next`: the need that `advice` is
+    about; `coverage`: corners of the kept views by field, row by row; `trouble`: why the views lead
+    to no lens yet; `over`: how it ended, "" while it runs."""
 
     number: int
     stamp: str

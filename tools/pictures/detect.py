@@ -96,9 +96,10 @@ def main(
     for line in (*account.lines(), total.line):
         typer.echo(line, err=True)
     if total.is_nothing and not said:
-        from .unlike import squares_seen  # of pictures that were read already
+        from .unlike import greys_seen, squares_seen  # of pictures that were read already
 
-        typer.echo("; ".join(filter(None, [squares_seen(pictures, topic), NOTHING_NEAR])), err=True)
+        seen = squares_seen(pictures, topic) or greys_seen(pictures, topic)
+        typer.echo("; ".join(filter(None, [seen, NOTHING_NEAR])), err=True)
 
 
 class _Sum:

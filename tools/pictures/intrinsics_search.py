@@ -21,7 +21,7 @@ from trigpoint.site.target import Pattern, Target
 
 from .account import PictureAccount
 from .detect import Given, Still, stills
-from .unlike import squares_seen
+from .unlike import greys_seen, squares_seen
 
 # A process takes as long to start as twenty pictures to search.
 _PICTURES_A_JOB = 20
@@ -82,7 +82,8 @@ def search(
     if len(sizes) > 1:
         raise InputError(_several(sizes))
     if not views:
-        nothing = [squares_seen(pictures, topics), _nothing_found(count, targets)]
+        seen = squares_seen(pictures, topics) or greys_seen(pictures, topics)
+        nothing = [seen, _nothing_found(count, targets)]
         raise OperationError("; ".join(filter(None, [*(misdescribed or nothing), *said])))
     return Searched(count, size, views, tuple(misdescribed), tuple(said))
 

@@ -13,35 +13,35 @@ from .detect import Given, stills
 # So many pictures are looked at again; so many, and most of those with any squares, show a board
 # that is there: a hand, or what stands before it, leaves another part of it each time.
 _LOOKED_AT, _LEAST, _MOST_SHARE = 10, 3, 0.7
-# Pictures whose greys, but for a thousandth, span less than an eighth of all show no board well.
+# Pictures whose greys, but for two thousandths, span less than an eighth of all show no board well.
 _FLAT, _GLARING = 32, 0.1
 
 
 def squares_seen(given: Sequence[Given], topics: Sequence[str] = ()) -> str:
-    """The board of black and white squares that several of the first pictures show whole, or that
-    they are all but one grey, in words; "" where there is neither."""
-    search, seen, greys = GridSearch(), list[tuple[int, int] | None](), list[np.ndarray]()
+    """The board of black and white squares that several of the first pictures show whole, in words;
+    "" where there is none."""
+    search, seen = GridSearch(), list[tuple[int, int] | None]()
     for still in islice(stills(given, topics), _LOOKED_AT):
-        greys.append(np.percentile(still.picture, [_GLARING, 100 - _GLARING]))
         search.take(still.picture)
         seen += [_size(grid.cleaned()) for grid in search.grids(1)]
     whole = Counter(size for size in seen if size)
-    if not whole:
-        return _flat(np.array(greys))
-    (columns, rows), count = whole.most_common(1)[0]
+    (columns, rows), count = (whole.most_common(1) or [((0, 0), 0)])[0]
     if count < max(_LEAST, _MOST_SHARE * len(seen)):
         return ""
     return f"{count} of the first pictures show a board of {columns} × {rows} squares"
 
 
-def _flat(greys: np.ndarray) -> str:
-    """That pictures whose greys lie between these (n, 2) are too dark, bright or dull; "" where one
-    is not."""
+def greys_seen(given: Sequence[Given], topics: Sequence[str] = ()) -> str:
+    """That each of the first pictures is nearly one grey, in words, and after the last semicolon
+    what to do; "" where one is not."""
+    first = [still.picture for still in islice(stills(given, topics), _LOOKED_AT)]
+    greys = np.array([np.percentile(each, [_GLARING, 100 - _GLARING]) for each in first])
     if not len(greys) or np.any(np.ptp(greys, axis=1) >= _FLAT):
         return ""
-    low, high = round(greys[:, 0].min()), round(greys[:, 1].max())
+    span, low, high = np.ceil([np.ptp(greys, axis=1).max(), greys.min(), greys.max()]).astype(int)
     return (
-        f"the first pictures have no greys but {low} to {high} of 0 to 255: see to the lens's cap, "
+        f"each of the first pictures is nearly one grey: 998 of 1000 pixels lie within {span} of "
+        f"255 greys, from {low} in the darkest to {high} in the brightest; see to the lens's cap, "
         "light, exposure, and how the pictures are encoded"
     )
 

@@ -17,13 +17,9 @@ from trigpoint.base.words import nearest
 
 Struct = TypeVar("Struct", bound=msgspec.Struct)
 KeyPath = tuple[str | int, ...]
-# Other files than TOML, by a pattern in them, and what to do.
-_OTHERS = (
-    (
-        r"(?m)^target_type:",
-        "this is Kalibr's target file; make one of it: trigpoint target import FILE --out "
-        "target.toml",
-    ),
+_KALIBR = re.compile(r"(?m)^target_type:")
+_IMPORT = (
+    "this is Kalibr's target file; make one of it: trigpoint target import FILE --out target.toml"
 )
 
 
@@ -39,8 +35,8 @@ def parse_toml(
     try:
         document = tomllib.loads(text)
     except tomllib.TOMLDecodeError as reason:
-        way = next((way for words, way in _OTHERS if re.search(words, text)), "")
-        raise error(f"{file}: {way or f'not valid TOML: {reason}; mend that line'}") from None
+        what = _IMPORT if _KALIBR.search(text) else f"not valid TOML: {reason}; mend that line"
+        raise error(f"{file}: {what}") from None
     for key, value in (settings or {}).items():
         _put(document, key, value, error)
     lines = text.splitlines()

@@ -55,8 +55,9 @@ _REFUSAL = "Invalid Command"
 _KNOWN = ("", "OK", "e", "r")
 # One wrong line may be noise, or the rest of another command's answer.
 _TOLERATED = 3
-# So many answers that come late are no accident of a board's start.
-_MOST_LATE = 9
+# That no answer comes in time for so long is no accident of a board's start, nor of a machine that
+# was busy.
+_LATE_NS = to_ns(2.0)
 _SAY_EVERY_NS = to_ns(5.0)
 # Six seconds of them: a reader that is held up for longer is started anew.
 _MOST_OPEN = 64
@@ -93,8 +94,10 @@ class RosArduinoBridge:
         self._open: deque[int] = deque(maxlen=_MOST_OPEN)
         # Whether the newest may be answered in time; whether an answer came since it was asked.
         self._is_awaited = self._is_heard = False
-        self._unanswered = self._wrong_lines = self._late_lines = 0
+        self._unanswered = self._wrong_lines = 0
         self._heard_ns: int | None = None
+        # When the first of the answers came that are late, without one in time since.
+        self._late_ns: int | None = None
         # An end of line first: it ends whatever half a command the board may hold.
         self._waiting = bytearray(END)
         self._ask_due_ns = 0
@@ -155,7 +158,7 @@ class RosArduinoBridge:
         self, encoders: Encoders, counts: list[float], asked_ns: int, now_ns: int
     ) -> list[Event]:
         assert self._geometry is not None  # there are no encoders without it
-        self._late_lines = 0
+        self._late_ns = None
         taken_ns = (asked_ns + now_ns) // 2
         turned = encoders.add(counts, taken_ns)
         events: list[Event] = []
@@ -180,16 +183,18 @@ class RosArduinoBridge:
 
     def _late(self, line: str, now_ns: int) -> list[Event]:
         """Counts of which it is not known well enough when they were read; told now and then of a
-        board that sends no others."""
-        self._late_lines += 1
-        if self._is_connected or self._late_lines < _MOST_LATE or self._is_told(now_ns):
+        board that sends no others, or no longer any."""
+        self._late_ns = now_ns if self._late_ns is None else self._late_ns
+        late_ns = now_ns - self._late_ns
+        if late_ns < _LATE_NS or self._is_told(now_ns):
             return []
-        self._said_ns = now_ns
+        self._said_ns, self._is_connected = now_ns, False
         return [
             Mismatched(
-                f"robot {self._robot} answers «{line}», but always later than "
-                f"{to_seconds(ANSWER_NS):g} s after it was asked, so when its wheels were there is "
-                "not known; does its sketch wait in its loop (delay, sonar), or is `baud` too low?"
+                f"robot {self._robot} answers «{line}», but for the last "
+                f"{to_seconds(late_ns):.0f} s later than {to_seconds(ANSWER_NS):g} s after it was "
+                "asked, so when its wheels were there is not known; does its sketch wait in its "
+                "loop (delay, sonar), or is `baud` too low?"
             )
         ]
 
@@ -258,7 +263,7 @@ class RosArduinoBridge:
             events.append(Missing(self._unanswered))
             self._unanswered = 0
         if self._heard_ns is not None and now_ns - self._heard_ns > SILENCE_NS:
-            self._heard_ns, self._is_connected = None, False
+            self._heard_ns, self._late_ns, self._is_connected = None, None, False
             events.append(Silent())
         return events
 

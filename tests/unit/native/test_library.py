@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from trigpoint.edge.registration.planar_fit import FIT
 from trigpoint.native.library import Handle, In, Kernel, Out
 
 CELLS = Kernel(
@@ -12,6 +13,17 @@ CELLS = Kernel(
     In(np.float64, ("cells", 2)),
     float,
     Out(np.float64, ("n", "cells")),
+)
+ENDS_EARLY = Kernel(
+    "tp_ends_early",
+    In(np.uint8, ("h", "w")),
+    In(np.float64, (FIT,)),
+    In(np.int64, ("k",)),
+    In(np.float64, ("corners", 8)),
+    float,
+    In(np.float64, ("n", 12)),
+    In(np.int64, ("n",)),
+    In(np.bool_, ("n", "corners")),
 )
 GREY = np.arange(12, dtype=np.uint8).reshape(3, 4)
 # Its places are the picture's pixels.
@@ -24,6 +36,22 @@ def test_values_between_pixels_are_interpolated() -> None:
     assert CELLS(GREY, QUADS, PLACES, 0.0, cells) == 1
     seen = np.array([6.5, 11.0, 0.0])
     assert cells[0] == pytest.approx((seen - seen.mean()) / np.linalg.norm(seen - seen.mean()))
+
+
+def test_values_between_pixels_are_exact() -> None:
+    """Dark is 0, light is 6.5: the board's end is seen where less contrast is asked for alone."""
+    grey = np.zeros((8, 8), np.uint8)
+    grey[::2, 4:], grey[1::2, 4:] = 12, 14
+    beside = np.array([[2.0, 2, 2, 5, 3.5, 3.5, 5, 5]])
+    places = np.repeat([[5.0, 4], [5, 4], [2, 4]], 6, axis=0).reshape(3, 12)
+    fit = np.zeros(FIT)  # which has a face's places at the picture's pixels
+    fit[[0, 4, 8, 13]] = 1.0
+    looked_at = (places, np.array([0, 0, 1]), np.ones((3, 1), bool))
+    seen = [
+        ENDS_EARLY(grey, fit, np.array([0]), beside, least, *looked_at)
+        for least in (np.nextafter(6.5, 0), 6.5)
+    ]
+    assert seen == [1, 0]
 
 
 @pytest.mark.parametrize(

@@ -52,13 +52,28 @@ def test_rows_that_fit_boards_of_several_widths_tell_nothing_false(shown: list[i
 
 
 @pytest.mark.parametrize("legacy", [False, True])
-def test_a_board_with_another_first_marker_is_none_with_as_many_rows_more(legacy: bool) -> None:
+def test_a_board_with_another_first_marker_may_be_one_with_as_many_rows_more(legacy: bool) -> None:
+    """Half of a board of twice the rows shows the same, so both are said."""
     told = replace(GRID, pattern=Pattern.CHARUCO, columns=6, rows=4)
     true = replace(told, first_marker=12, legacy=legacy)
     markers = read(true, list(range(12)))
     markers = Markers(markers.numbers + 12, markers.corners, markers.scores, markers.quads)
     found = other_size(Reading(Appearance(told, "box", 0), told, False, ()), markers)
     assert found is not None
-    assert "first_marker = 12" in found.remedy
-    assert "rows" not in found.remedy
-    assert ("legacy = true" in found.remedy) is legacy
+    printed = ", legacy = true" if legacy else ""
+    assert (
+        f"a board with first_marker = 12{printed}, or one with columns = 6, rows = 8 or more"
+        f"{printed}, its first rows hidden, so it is not used"
+    ) in found.remedy
+    lower = read(replace(told, rows=8, legacy=legacy), list(range(12, 24)))
+    again = other_size(found.reading, lower)
+    assert again is not None
+    assert again.remedy == found.remedy
+
+
+def test_a_board_of_which_the_first_row_is_seen_begins_with_it() -> None:
+    told = replace(GRID, pattern=Pattern.CHARUCO, columns=6, rows=4)
+    markers = read(replace(told, rows=8), list(range(24)))
+    found = other_size(Reading(Appearance(told, "box", 0), told, False, ()), markers)
+    assert found is not None
+    assert "with columns = 6, rows = 8 or more, so" in found.remedy

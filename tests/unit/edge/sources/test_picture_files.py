@@ -186,6 +186,11 @@ def test_missing_picture_and_empty_folder_are_named(tmp_path: Path) -> None:
     written(tmp_path / "cam0" / "plain.png")
     with pytest.raises(InputError, match=r"but in those in it \(cam0\); name one"):
         pictures_in(tmp_path)
+    for number in range(1, 8):
+        (tmp_path / f"cam{number}").mkdir()
+        written(tmp_path / f"cam{number}" / "plain.png")
+    with pytest.raises(InputError, match=r"in it \(cam0, cam1, cam2, cam3, cam4, …\); name one"):
+        pictures_in(tmp_path)
 
 
 def test_pictures_of_a_folder_come_by_name(tmp_path: Path) -> None:

@@ -156,29 +156,52 @@ def test_command_exits_1_where_something_is_wrong(quick: None, tmp_path: Path, c
     assert [f["name"] for f in findings if f["level"] == "error"] == ["target of r1"]
 
 
-def test_board_that_the_file_describes_the_wrong_way_round_is_told_with_what_to_write(
-    quick: None, tmp_path: Path
-) -> None:
-    site = write_site(tmp_path)
+def write_site_of_shots(folder: Path) -> Path:
+    """A site whose first camera is a folder, which is empty yet."""
+    site = write_site(folder)
     text = site.read_text()
     [source] = [line for line in text.splitlines() if line.startswith("source")][:1]
     site.write_text(text.replace(source, 'source = "dir://shots"', 1))
+    (folder / "shots").mkdir()
+    return site
+
+
+def test_board_that_the_file_describes_the_wrong_way_round_is_told_with_what_to_write(
+    quick: None, tmp_path: Path
+) -> None:
+    site = write_site_of_shots(tmp_path)
     face = 'pattern = "checkerboard"\ncolumns = 6\nrows = 8\nsquare = 0.03\n'
     here = "translation = [0.0, 0.0, 0.0]\nquaternion = [0.0, 0.0, 0.0, 1.0]\n"
     (tmp_path / "target.toml").write_text(f'name = "t"\n[[faces]]\nid = 0\n{face}{here}')
-    (tmp_path / "shots").mkdir()
     cv2.imwrite(str(tmp_path / "shots" / "0.png"), picture_of([placed(checkerboard(8, 6))]))
     findings = [one for one in examine(load_site(site)) if one.name.startswith("boards of ")]
     assert [one.level for one in findings] == ["error"]
     assert "write columns = 8 and rows = 6" in findings[0].remedy
 
 
+@pytest.mark.parametrize(
+    ("divisor", "said", "remedy"),
+    [
+        (20, "each of the first pictures is nearly one grey", "see to the lens's cap, light"),
+        (1, "3 of the first pictures show a board of 8 × 6 squares", "compare its pattern"),
+    ],
+)
+def test_what_pictures_show_in_place_of_the_target_is_told_with_its_own_remedy(
+    quick: None, tmp_path: Path, divisor: int, said: str, remedy: str
+) -> None:
+    site = write_site_of_shots(tmp_path)
+    picture = picture_of([placed(checkerboard(8, 6))]) // divisor
+    for number in range(3):
+        cv2.imwrite(str(tmp_path / "shots" / f"{number}.png"), picture)
+    [found] = [one for one in examine(load_site(site)) if one.name.startswith("boards of ")]
+    assert found.level == "warning"
+    assert found.message.startswith(said)
+    assert ("none of the target file's" in found.message) is (divisor == 1)
+    assert found.remedy.startswith(remedy)
+
+
 def test_camera_one_of_whose_pictures_is_damaged_is_looked_at(quick: None, tmp_path: Path) -> None:
-    site = write_site(tmp_path)
-    text = site.read_text()
-    [source] = [line for line in text.splitlines() if line.startswith("source")][:1]
-    site.write_text(text.replace(source, 'source = "dir://shots"', 1))
-    (tmp_path / "shots").mkdir()
+    site = write_site_of_shots(tmp_path)
     (tmp_path / "shots" / "0.png").write_bytes(b"\x89PNG")
     cv2.imwrite(str(tmp_path / "shots" / "1.png"), picture_of([placed(checkerboard(8, 6))]))
     findings = {finding.name: finding for finding in examine(load_site(site))}

@@ -149,15 +149,24 @@ def test_the_page_of_a_folder_stays_until_it_is_stopped(shots: Path, here: Path)
 
 def test_pictures_of_two_sizes_are_no_cameras(here: Path, cli: Cli) -> None:
     write_pictures(here / "mixed", (np.full((48, side), 99, np.uint8) for side in (64, 65)))
-    assert "picture 2 is 65 × 48, those before were 64 × 48" in look(cli, "mixed", status=2).err
+    assert "1.png is 65 × 48, those before were 64 × 48" in look(cli, "mixed", status=2).err
 
 
-def test_a_picture_of_another_size_is_left_out_of_a_folder(here: Path, cli: Cli) -> None:
-    sides = (64, 65, 64, 64)
+@pytest.mark.parametrize(
+    ("sides", "count", "first"),
+    [
+        ((64, 65, 64, 64), "1 picture", "1.png is 65 × 48"),
+        ((64, 64, 64, 65), "1 picture", "3.png is 65 × 48"),
+        ((64, 65, 64, 66, 64), "2 pictures", "1.png is 65 × 48, …"),
+    ],
+)
+def test_pictures_of_another_size_are_left_out_of_a_folder_and_said_once(
+    here: Path, cli: Cli, sides: tuple[int, ...], count: str, first: str
+) -> None:
     write_pictures(here / "mixed", (np.full((48, side), 99, np.uint8) for side in sides))
-    said = look(cli, "mixed", status=1)
-    words = "1 picture left out, not of the size of the first (64 × 48): picture 2 is 65 × 48"
-    assert words in said.out + said.err
+    out = look(cli, "mixed", status=1).out
+    assert f"{count} left out, not of the size of the first (64 × 48): {first}\n" in out
+    assert out.count("left out") == 1
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from support.pictures.boards import aprilgrid, charuco, checkerboard
 from support.wrong_inputs.targets import shots, write_shots, write_target
 
 from trigpoint.site.target import Face
-from trigpoint.tools.pictures.unlike import squares_seen
+from trigpoint.tools.pictures.unlike import greys_seen, squares_seen
 
 
 @pytest.mark.parametrize("described", [charuco(), checkerboard(6, 9), aprilgrid()])
@@ -51,10 +51,23 @@ def test_pictures_of_all_but_one_grey_are_said_to_be_so(tmp_path: Path, cli: Cli
     """As behind a cap, or exposed for a hundredth of what they need."""
     dark = [picture // 20 for picture in shots(charuco(), np.random.default_rng(3), 10)]
     pictures, target = write_shots(tmp_path, dark), write_target(tmp_path, charuco())
-    said = r"no greys but \d to 1\d of 0 to 255: see to .*exposure"
+    said = r"within 1\d of 255 greys, from \d in .* to 1\d in the brightest; see to .*exposure"
     assert re.search(said, cli("detect", pictures, "--target", target).err)
     out = tmp_path / "lens.yaml"
     err = cli("intrinsics", pictures, "--target", target, "--out", out, status=1).err
     assert re.search(said, err)
     bright = [np.full_like(picture, 120) for picture in dark[:9]]
-    assert squares_seen([*bright, shots(charuco(), np.random.default_rng(3), 1)[0]]) == ""
+    assert greys_seen([*bright, shots(charuco(), np.random.default_rng(3), 1)[0]]) == ""
+
+
+def test_pictures_of_one_grey_each_are_said_to_span_what_one_of_them_does() -> None:
+    """Not what all of them do together, nor without the few pixels that are left aside."""
+    steps = np.linspace(0, 1, 10_000).reshape(100, 100)
+    pictures = [
+        np.rint(low + (high - low) * steps).astype(np.uint8)
+        for low, high in ((2, 10), (120, 140), (200, 220))
+    ]
+    pictures[0][0, :5] = 255
+    said = greys_seen(pictures)
+    assert "998 of 1000 pixels lie within 20 of 255 greys, from 2 in" in said
+    assert "to 220 in the brightest" in said

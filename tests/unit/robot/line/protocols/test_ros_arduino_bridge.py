@@ -1,5 +1,6 @@
 """ros_arduino_bridge's commands; the bytes are those of its sketch (ROSArduinoBridge.ino)."""
 
+import re
 from collections import deque
 from collections.abc import Callable, Container, Iterable
 from itertools import pairwise
@@ -283,26 +284,29 @@ def test_board_that_refuses_the_question_is_told_now_and_then() -> None:
     assert ["«Invalid Command»" in event.text for event in told] == [True, True]
 
 
+@pytest.mark.parametrize("quick", [0, 1])
 @pytest.mark.parametrize(("delay_s", "is_told"), [(0.15, True), (0.4, True), (0.05, False)])
 def test_board_that_answers_too_late_is_told_so_and_not_asked_for_its_protocol(
-    delay_s: float, is_told: bool
+    delay_s: float, is_told: bool, quick: int
 ) -> None:
-    """One that works through its questions one by one, and waits with each."""
-    protocol, events, free_s = opened(), list[Event](), 0.0
+    """One that works through its questions one by one, and waits with each but the first ones."""
+    protocol, events, free_s, was_quick = opened(), list[Event](), 0.0, quick
     due = deque[float]()
-    for now_s in np.arange(0.0, 4.0, 0.01).tolist():
+    for now_s in np.arange(0.0, 12.0, 0.01).tolist():
         now_ns = NOW_NS + to_ns(now_s)
         events += protocol.elapse(now_ns)
         for _ in range(protocol.data_to_send(now_ns).count(ENCODERS)):
-            free_s = max(free_s, now_s) + delay_s
+            free_s = max(free_s, now_s) + (0.0 if quick else delay_s)
+            quick = max(quick - 1, 0)
             due.append(free_s)
         while due and due[0] <= now_s:
             due.popleft()
             events += protocol.receive(b"700 800\r\n", now_ns)
     told = [event.text for event in events if isinstance(event, Mismatched)]
-    assert bool(told) is is_told
-    assert all("«700 800», but always later than 0.1 s" in text for text in told)
-    assert bool(readings(events)) is not is_told
+    assert len(told) == (2 if is_told else 0)
+    assert all(re.search(r"«700 800», but for the last \d s later than 0\.1 s", t) for t in told)
+    assert protocol._is_connected is not is_told
+    assert len(readings(events)) == was_quick if is_told else len(readings(events)) > 150
 
 
 @pytest.mark.parametrize("order", ["lrlr", "llrr", "lr--"])
