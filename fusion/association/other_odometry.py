@@ -2,16 +2,19 @@
 
 A mirrored drive, or one of other lengths, is a drive, too: odometry alone does not show that its
 axes or its unit are wrong, and the search explains much by lifts and wrong sightings. So the
-session is explained as it was told and with the odometry told in the other ways that people mean;
-by the one score, the likeliest is what happened.
+session is explained as it was told and with the odometry told in the other ways that people mean,
+of those that the motion in single pictures does not contradict; by the one score, the likeliest is
+what happened.
 """
 
+import math
 from collections.abc import Callable, Mapping
 
 import numpy as np
 from msgspec.structs import replace
 
 from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.motion import STILL
 from trigpoint.fusion.model.observations import Observation, Verdict
 from trigpoint.fusion.model.odometry import OdometryTrack
 from trigpoint.geometry.rotation import Array
@@ -21,26 +24,26 @@ from .events import Events, window
 from .learning import SessionNoise
 from .memory import Memory
 from .noise import PESSIMISTIC
+from .shown_motion import shown_motion
 from .visits import visits_of
 from .world import World
 
 # For all explanations together: of the budget for the session's length; and how many of the visits,
 # those with the most pictures.
 _SHARE, _MOST_VISITS = 0.1, 12
-# Each of the two explanations may be off by as much as decides.
+# Each of two explanations may be off by as much as decides.
 _CLEAR = 2 * window()
 # Of the sightings: more that contradict the rest are not only wrong ones.
 _MOST_REJECTED = 0.1
 _MIRROR = np.diag([1.0, -1, 1, -1, 1, -1])
 """The twist (6,) of the mirrored drive by that of a drive."""
 _BACKWARDS = np.diag([-1.0, -1, 1, 1, 1, 1])
-# How much longer odometry has been told: wheels by their diameter for their radius or the other way
-# round, one or four of an encoder's edges for the other, feet, decimetres.
-_TIMES = 2.0, 4.0, 1 / 0.3048, 10.0, 0.5, 0.25, 0.1
-
-
-def _longer(times: float) -> Callable[[OdometryTrack], Array]:
-    return lambda _track: np.diag([1 / times] * 3 + [1.0] * 3)
+# Lengths that are off by less are a wheel's radius or a print's scale, which are estimated.
+_OTHER_LENGTHS = 1.25
+# Single boards tell motion to some centimetres and degrees (m or rad): what fits them worse by more
+# than that, and so many times worse, is not explained at all.
+_ROUGH, _MUCH_WORSE = 0.05, 1.5
+_FEET, _DIAMETERS, _NEAR = 1 / 0.3048, 2.0, 0.05
 
 
 def _with_other_heading(track: OdometryTrack, turns: float) -> Array:
@@ -56,50 +59,92 @@ def _with_other_heading(track: OdometryTrack, turns: float) -> Array:
 _HEADING_ONLY = np.diag([1.0, 1, 1, 1, 1, -1])
 _WAY_ONLY = np.diag([1.0, -1, 1, 1, 1, 1])
 _OTHERWISE: Mapping[str, Callable[[OdometryTrack], Array]] = {
-    "that is mirrored (NED, FRD: turns to the left are told as turns to the right)": (
-        lambda _track: _MIRROR
-    ),
+    "that is mirrored (NED, FRD: turns to the left are told as turns to the right), or its target "
+    "file has left and right exchanged": lambda _track: _MIRROR,
     "its y axis is to the right": lambda track: _with_other_heading(track, -2) @ _WAY_ONLY,
     "its x axis is backwards": (
         lambda track: _with_other_heading(track, -2) @ _WAY_ONLY @ _BACKWARDS
     ),
     "its headings turn to the right": lambda track: _with_other_heading(track, 2) @ _HEADING_ONLY,
-    "it drove backwards where it tells forwards": lambda _track: _BACKWARDS,
-    **{f"its lengths are told {by:.3g} times as long as they are": _longer(by) for by in _TIMES},
+    "it drove backwards where it tells forwards, or its target file has front and back exchanged": (
+        lambda _track: _BACKWARDS
+    ),
 }
 """What else a robot may mean -> the map of each step's twist (6,), or of each its own (n, 6, 6), to
 what that is by the contract."""
 
 
 def otherwise(data: DataSet) -> dict[str, str]:
-    """Robot -> how its odometry is told, where that explains what was seen far better than the
-    contract's way; all ways that explain it as well. `data`: after its last explanation; where that
-    shows nothing strange, none is questioned."""
+    """Robot -> how its odometry is told, or its target is, where that explains what was seen far
+    better than the contract's way; all ways that explain it as well. `data`: after its last
+    explanation; where that shows nothing strange, none is questioned."""
     every = [entry.observation for entry in data.entries]
     rejected = sum(observation.verdict is Verdict.REJECTED for observation in every)
     if not data.changes and rejected <= _MOST_REJECTED * len(every):
         return {}
     every = [_fresh(data, each) for each in every]
     every.sort(key=lambda observation: observation.stamp_ns)
-    draft, memory = data.draft(), Memory(Budget.of(data.tracks.values(), share=_SHARE))
+    draft = data.draft()
+    ways = {
+        robot: found
+        for robot in dict.fromkeys(observation.robot for observation in every)
+        if (found := _retold(draft, robot, every))
+    }
+    if not ways:
+        return {}
+    # The same share for each, so that the last robot is not left without.
+    budget = Budget.of(data.tracks.values(), share=_SHARE / (1 + len(ways)))
+    memory = Memory(replace(budget))
     told = _score(draft, every, memory)
     if not np.isfinite(told):
         return {}
     found = dict[str, str]()
-    for robot in dict.fromkeys(observation.robot for observation in every):
-        track = draft.tracks[robot]
+    for robot, tracks in ways.items():
+        mine = Memory(replace(budget), memory.alone)
         scores = {
-            words: _score(
-                replace(draft, tracks=draft.tracks | {robot: track.retold(maps(track))}),
-                every,
-                memory,
-            )
-            for words, maps in _OTHERWISE.items()
+            words: _score(replace(draft, tracks=draft.tracks | {robot: track}), every, mine)
+            for words, track in tracks.items()
         }
         best = min(scores.values())
         if best + _CLEAR < told:
             found[robot] = ", or ".join(w for w, score in scores.items() if score < best + _CLEAR)
     return found
+
+
+def _retold(data: DataSet, robot: str, every: list[Observation]) -> dict[str, OdometryTrack]:
+    """A robot's odometry told in each other way, in words, that the motion in single pictures does
+    not contradict; what fits that best comes first, and none where odometry never moves."""
+    track = data.tracks[robot]
+    if not len(track) or np.ptp(track.odom_from_base.rows(), axis=0).max() < STILL:
+        return {}
+    found = {words: track.retold(maps(track)) for words, maps in _OTHERWISE.items()}
+    visits = [visit for visit in visits_of(data, every) if visit.robot == robot]
+    visits = sorted(visits, key=lambda visit: -len(visit.indices))[:_MOST_VISITS]
+    shown = shown_motion(data, every, visits)
+    if shown is None:
+        return found
+    by = shown.longer(track)
+    if abs(math.log(by)) > math.log(_OTHER_LENGTHS):
+        found[_lengths(by)] = track.retold(np.diag([1 / by] * 3 + [1.0] * 3))
+    misfits = {words: shown.misfit(each) for words, each in found.items()}
+    most = _ROUGH + _MUCH_WORSE * shown.misfit(track)
+    return {
+        words: found[words]
+        for words in sorted(misfits, key=misfits.__getitem__)
+        if misfits[words] < most
+    }
+
+
+def _lengths(by: float) -> str:
+    """That odometry tells lengths so many times as long as they are seen, and what that may be."""
+    hints = {_FEET: " (feet, 3.28?)", _DIAMETERS: " (diameters for radii of wheels, 2?)"}
+    hint = next((words for of, words in hints.items() if abs(by / of - 1) < _NEAR), "")
+    odometry, target = ("long", "short") if by > 1 else ("short", "long")
+    times = f"{max(by, 1 / by):.3g} times too"
+    return (
+        f"its lengths are told {times} {odometry}{hint}, or those in its target file are {times} "
+        f"{target} for what was printed"
+    )
 
 
 def _fresh(data: DataSet, seen: Observation) -> Observation:

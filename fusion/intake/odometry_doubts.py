@@ -30,11 +30,7 @@ _MOST_SIDEWAYS = 0.3
 # Of an explanation: a robot is carried once or twice, and not every few minutes.
 _MOST_BREAKS, _CARRIED_NS = 2, to_ns(600.0)
 _CONVENTION = "x is forward and y left in metres, and headings turn to the left in radians"
-_OTHERWISE = (
-    f"what cameras saw fits its odometry only if {{}}; {_CONVENTION} (REP 103); are lengths in "
-    "feet, wheels' radii given as diameters, or left and right, or front and back, of its target "
-    "file exchanged?"
-)
+_OTHERWISE = f"what cameras saw fits its odometry only if {{}}; {_CONVENTION} (REP 103)"
 
 
 class _Came(Struct):

@@ -129,12 +129,12 @@ def _check_used(results: Results, doubts: Sequence[str]) -> None:
 
 
 def _check_told(robots: Sequence[str]) -> None:
-    """Raise OperationError where cameras rest on odometry that is told otherwise than it is
-    read."""
+    """Raise OperationError where cameras rest on odometry, or a target, that they contradict."""
     if robots:
         raise OperationError(
-            f"do not use these cameras: they rest on the odometry of {', '.join(robots)}, which is "
-            "told otherwise than it is read; correct what the note above says"
+            f"do not use these cameras: what they saw contradicts the odometry of "
+            f"{', '.join(robots)} as it is read, or the target file; correct what the note above "
+            "says"
         )
 
 

@@ -18,6 +18,8 @@ from trigpoint.contract import cdr
 from trigpoint.contract.cdr_ros import store
 from trigpoint.contract.messages import ODOMETRY, SIGHTINGS, Mended, Odometry
 from trigpoint.geometry import Pose
+from trigpoint.tools.simulation.session import write_session
+from trigpoint.tools.simulation.world import load_world
 
 
 def calibrated(
@@ -100,8 +102,8 @@ def stuck(_number: int, message: Any) -> None:
         (y_alone_mirrored, "only if its y axis is to the right"),
         (heading_alone_mirrored, "only if its headings turn to the right"),
         (reversed_axes, "only if it drove backwards"),
-        (in_feet, "only if its lengths are told 3.28 times as long"),
-        (by_the_diameter, "only if its lengths are told 2 times as long"),
+        (in_feet, r"only if its lengths are told 3\.\d+ times too long \(feet"),
+        (by_the_diameter, "only if its lengths are told .* times too long .diameters for radii"),
         (stuck, "does not move while cameras see it in several places"),
     ],
 )
@@ -112,6 +114,22 @@ def test_odometry_that_pictures_contradict_is_said_in_place_of_what_then_seems_t
     assert re.search(rf"robot r1: .*{words}", said.err)
     assert "put down elsewhere" not in said.err
     assert "was moved" not in said.err
+
+
+def test_cameras_that_are_located_by_odometry_that_they_contradict_are_not_to_be_used(
+    tmp_path: Path, cli: Cli
+) -> None:
+    write_session(load_world("loop", seed=1, target="charuco"), tmp_path)
+    said = calibrated(cli, tmp_path, tmp_path, by_the_diameter, status=1)
+    assert re.search(r"c1\s+located", said.out)
+    assert re.search(
+        r"robot r1: .* its lengths are told .* times too long .diameters for radii.*, or those in "
+        "its target file are .* times too short for what was printed",
+        said.err,
+    )
+    assert "feet" not in said.err
+    assert "exchanged" not in said.err
+    assert "do not use these cameras" in said.err
 
 
 @pytest.mark.parametrize(
