@@ -250,8 +250,7 @@ class OdometryTrack:
         return track
 
     def retold(self, by_twist: Array) -> "OdometryTrack":
-        """A read-only copy of the odometry so far with each step's twist mapped by (6, 6), or by
-        one for each message (n, 6, 6)."""
+        """A read-only copy with each step's twist mapped by (6, 6), or by its own (n, 6, 6)."""
         track = copy.copy(self)
         track._twists = (by_twist @ self._twists[: self._count, :, None])[..., 0]
         path = composed(moved(track._twists[1 : self._count])) if self._count else Pose.identity()
