@@ -118,13 +118,16 @@ def manager(tmp_path: Path) -> Iterator[socket.socket]:
 
 @pytest.fixture(scope="session")
 def free_port() -> Callable[[], int]:
-    """Ports of the loopback interface that nobody uses now; none of those that the system gives to
-    connections, any of which may have it before who asked for it here."""
+    """Ports of the loopback interface that nobody uses now, for connections or for datagrams; none
+    of those that the system gives to connections, any of which may have it before who asked for it
+    here."""
 
     def pick() -> int:
         while True:
             port = secrets.choice(range(20_000, 30_000))
-            with suppress(OSError), socket.create_server(("127.0.0.1", port)):
+            datagrams = socket.socket(type=socket.SOCK_DGRAM)
+            with suppress(OSError), datagrams, socket.create_server(("127.0.0.1", port)):
+                datagrams.bind(("127.0.0.1", port))
                 return port
 
     return pick

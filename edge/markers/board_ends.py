@@ -27,7 +27,7 @@ _DEEP, _BETWEEN, _REACH = np.array([0.1, 0.2]), np.array([0.3, 0.5, 0.7]), 1.6
 _BORDER_DEEP = np.array([0.05, 0.1])
 # Each of the four squares that meet at a corner is looked at between that and its marker.
 _BESIDE = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-_ENDS_EARLY = Kernel(
+ENDS_EARLY = Kernel(
     "tp_ends_early",
     In(np.uint8, ("h", "w")),
     In(np.float64, (FIT,)),
@@ -47,7 +47,7 @@ def ends_early(grey: np.ndarray, face: Face, found: Measured) -> bool:
     what is dark and what is light around the corners are too alike."""
     beside, *looked_at = _looked_at(face)
     return (
-        _ENDS_EARLY(
+        ENDS_EARLY(
             np.ascontiguousarray(grey),
             found.fit.packed,
             found.corners,

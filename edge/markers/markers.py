@@ -19,7 +19,7 @@ from trigpoint.site.target import Face
 
 # The cells of a quadrilateral must differ by this many grey levels (standard deviation).
 LEAST_CONTRAST = 5.0
-_CELLS = Kernel(
+CELLS = Kernel(
     "tp_cells",
     In(np.uint8, ("h", "w")),
     In(np.float64, ("n", 8)),
@@ -146,7 +146,7 @@ def _cells(grey: np.ndarray, quads: Array, places: Array) -> Array:
     contrast."""
     cells = np.empty((len(quads), len(places)))
     flat = np.ascontiguousarray(quads, float).reshape(-1, 8)
-    _CELLS(np.ascontiguousarray(grey), flat, places, LEAST_CONTRAST, cells)
+    CELLS(np.ascontiguousarray(grey), flat, places, LEAST_CONTRAST, cells)
     return cells
 
 

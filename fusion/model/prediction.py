@@ -34,7 +34,7 @@ _PICTURES = (
 )
 _TERMS = Kernel(
     *("tp_corner_terms", *_PICTURES),
-    *(Out(_REAL, ("n", "k", 2)), Out(_REAL, ("n", "k", "c")), Out(_REAL, ("n", "k", "s"))),
+    *(Out(_REAL, ("n", "k", 2)), Out(_REAL, ("n", "k", "c"))),
 )
 _FACTOR = Kernel("tp_corner_factor", *_PICTURES, In(_REAL, ("v",)), Out(_REAL, ("q", "q")))
 _ODOMETRY = Kernel(
@@ -57,7 +57,7 @@ def batch_jacobian(problem: Problem, batch: Batch, state: State) -> tuple[Array,
     Residual = (projection - pixel)/sigma. The first d columns are the node's; the dense ones begin
     with the camera's pose.
     """
-    residual, jacobian, _ = _terms(batch, state, problem)
+    residual, jacobian = _terms(batch, state, problem)
     return jacobian, residual, _dense_columns(problem, batch)
 
 
@@ -75,12 +75,6 @@ def picture_factor(problem: Problem, batch: Batch, state: State) -> tuple[Array,
     return factor, columns
 
 
-def base_jacobian(batch: Batch, state: State) -> Array:
-    """Weighted derivative (n, K, 2, 6) of `batch_residual` by a disturbance of the robot's pose
-    when it was seen, in the map's axes."""
-    return _terms(batch, state, by_seen=True)[2]
-
-
 def _dense_columns(problem: Problem, batch: Batch, faces: np.ndarray | None = None) -> np.ndarray:
     """The columns of a batch's Jacobian but for the node's, in the order of the core; `faces`: of
     the robot's, where not all."""
@@ -96,26 +90,15 @@ def _dense_columns(problem: Problem, batch: Batch, faces: np.ndarray | None = No
     return np.concatenate(columns)
 
 
-def _terms(
-    batch: Batch,
-    state: State,
-    problem: Problem | None = None,
-    *,
-    by_seen: bool = False,
-) -> tuple[Array, Array, Array]:
-    """Residual (n, K, 2), Jacobian (n, K, 2, c) by the unknowns of a problem, and the derivative
-    (n, K, 2, 6) by the robot as it was seen: the last two without columns where not asked for."""
-    shape, shape_seen, columns = batch.weights.shape, 12 if by_seen else 0, 0
+def _terms(batch: Batch, state: State, problem: Problem | None = None) -> tuple[Array, Array]:
+    """Residual (n, K, 2) and Jacobian (n, K, 2, c) by the unknowns of a problem; without columns
+    where there is none."""
+    shape, columns = batch.weights.shape, 0
     if problem is not None:
         columns = len(problem.chains[batch.robot].tangent) + len(_dense_columns(problem, batch))
-    residual = np.empty((*shape, 2))
-    jacobian, by_robot = np.empty((*shape, 2 * columns)), np.empty((*shape, shape_seen))
-    _TERMS(*_given(batch, state, problem), residual, jacobian, by_robot)
-    return (
-        residual,
-        jacobian.reshape(*shape, 2, columns),
-        by_robot.reshape(*shape, 2, shape_seen // 2),
-    )
+    residual, jacobian = np.empty((*shape, 2)), np.empty((*shape, 2 * columns))
+    _TERMS(*_given(batch, state, problem), residual, jacobian)
+    return residual, jacobian.reshape(*shape, 2, columns)
 
 
 def _given(

@@ -229,15 +229,14 @@ private:
 
 }  // namespace
 
-// (pictures, residuals (n, k, 2), Jacobian (n, k, 2 c), by the robot as it was seen (n, k, 12)): 0;
-// arrays without columns are not wanted. Without a Jacobian, nor need the tangent be.
+// (pictures, residuals (n, k, 2), Jacobian (n, k, 2 c), or without columns): 0. Without a Jacobian
+// the tangent need not be, either.
 TRIGPOINT_KERNEL(tp_corner_terms) {
     const Pictures pictures(arguments);
     const Argument* asked = arguments + Pictures::ARGUMENTS;
     const auto numbers = [&](int which) { return asked[which].array.as<double>(); };
-    const Index rows = 2 * pictures.corners, columns = asked[1].array.shape[2] / 2,
-                by_six = asked[2].array.shape[2];
-    if (by_six != 0 && by_six != 12) throw std::invalid_argument("a pose has six components");
+    const Index rows = 2 * pictures.corners, columns = asked[1].array.shape[2] / 2;
+    ByPoses not_wanted(0, 6);
     for (Index n = 0; n < pictures.count; ++n) {
         const Picture picture = pictures.at(n);
         if (columns != 0 && columns != picture.columns())
@@ -245,7 +244,7 @@ TRIGPOINT_KERNEL(tp_corner_terms) {
         picture.terms(
             picture.seen, Eigen::Map<Eigen::VectorXd>(numbers(0) + rows * n, rows),
             Eigen::Map<RowMajor>(numbers(1) + rows * columns * n, columns > 0 ? rows : 0, columns),
-            Eigen::Map<ByPoses>(numbers(2) + 6 * rows * n, by_six > 0 ? rows : 0, 6));
+            not_wanted);
     }
     return 0;
 }

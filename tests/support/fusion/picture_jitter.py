@@ -10,13 +10,14 @@ pictures, and does not average out. So the normal equations are those about the 
 by the picture's own variances (`PictureEquations` of the core).
 """
 
-from typing import Self
+from typing import Any, Self, cast
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
-from trigpoint.fusion.model.prediction import base_jacobian
-from trigpoint.fusion.model.problem import Batch, State
+from trigpoint.fusion.model.prediction import batch_jacobian
+from trigpoint.fusion.model.problem import Batch, Chain, Layout, Priors, Problem, State
 from trigpoint.geometry.rotation import Array
 
 
@@ -60,3 +61,19 @@ class PictureJitter(Struct, frozen=True):
         pull = np.swapaxes(self.jacobian, 1, 2) @ rows
         shift = np.linalg.solve(self.information, pull)
         return rows - self.jacobian @ shift, shift / np.sqrt(self.variances)[..., None]
+
+
+def base_jacobian(batch: Batch, state: State) -> Array:
+    """Weighted derivative (n, K, 2, 6) of a batch's residual by a disturbance of the robot's pose
+    when it was seen, in the map's axes: that by a node in space which is there."""
+    robot, camera, count = state.robots[batch.robot], batch.camera, len(batch.nodes)
+    seen = robot.map_from_base[batch.nodes]
+    if batch.carried is not None:
+        seen = seen @ batch.carried.at(state.cameras[camera].offset_s(batch.since_epoch_s))
+    there = replace(batch, nodes=np.arange(count), carried=None)
+    none = cast(Any, None)
+    chain = Chain(batch.robot, none, none, none, none, planar=False, is_anchored=False)
+    layout = Layout({camera: np.arange(6)}, {}, {}, {}, {}, {}, 6)
+    problem = Problem({batch.robot: chain}, (there,), Priors.none(), layout)
+    robots = {batch.robot: replace(robot, map_from_base=seen)}
+    return batch_jacobian(problem, there, State(state.cameras, robots))[0][..., :6]

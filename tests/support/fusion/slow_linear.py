@@ -5,8 +5,10 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from trigpoint.fusion.model.assembly import Assembled
-from trigpoint.fusion.model.prediction import base_jacobian, batch_jacobian, odometry_terms
+from trigpoint.fusion.model.prediction import batch_jacobian, odometry_terms
 from trigpoint.geometry.rotation import Array
+
+from .picture_jitter import base_jacobian
 
 
 class SlowLinear(Struct, frozen=True):

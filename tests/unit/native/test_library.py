@@ -3,28 +3,11 @@
 import numpy as np
 import pytest
 
+from trigpoint.edge.markers.board_ends import ENDS_EARLY
+from trigpoint.edge.markers.markers import CELLS
 from trigpoint.edge.registration.planar_fit import FIT
 from trigpoint.native.library import Handle, In, Kernel, Out
 
-CELLS = Kernel(
-    "tp_cells",
-    In(np.uint8, ("h", "w")),
-    In(np.float64, ("n", 8)),
-    In(np.float64, ("cells", 2)),
-    float,
-    Out(np.float64, ("n", "cells")),
-)
-ENDS_EARLY = Kernel(
-    "tp_ends_early",
-    In(np.uint8, ("h", "w")),
-    In(np.float64, (FIT,)),
-    In(np.int64, ("k",)),
-    In(np.float64, ("corners", 8)),
-    float,
-    In(np.float64, ("n", 12)),
-    In(np.int64, ("n",)),
-    In(np.bool_, ("n", "corners")),
-)
 GREY = np.arange(12, dtype=np.uint8).reshape(3, 4)
 # Its places are the picture's pixels.
 QUADS = np.array([[0.0, 0, 1, 0, 1, 1, 0, 1]])

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 from support.fusion import small_problems
+from support.fusion.picture_jitter import base_jacobian
 from support.fusion.slow_linear import SlowLinear, slow_linear
 from support.fusion.small_problems import first_state, small_data
 
@@ -13,7 +14,7 @@ from trigpoint.fusion.association.sightings import all_without_wild
 from trigpoint.fusion.association.trial import Ending, Pictures, Trial, Work
 from trigpoint.fusion.model.assembly import Assembled, assemble
 from trigpoint.fusion.model.dataset import DataSet
-from trigpoint.fusion.model.prediction import base_jacobian, batch_residual
+from trigpoint.fusion.model.prediction import batch_residual
 from trigpoint.fusion.model.problem import State
 from trigpoint.geometry import Pose
 

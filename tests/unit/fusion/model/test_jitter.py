@@ -3,13 +3,12 @@
 import numpy as np
 import pytest
 from msgspec.structs import replace
-from support.fusion.picture_jitter import PictureJitter
+from support.fusion.picture_jitter import PictureJitter, base_jacobian
 from support.fusion.slow_problem import about_best_fit, picture_of
 from support.fusion.small_problems import small_problem
 
 from trigpoint.fusion.model.jitter import Jitter
 from trigpoint.fusion.model.prediction import (
-    base_jacobian,
     batch_jacobian,
     batch_residual,
     picture_factor,

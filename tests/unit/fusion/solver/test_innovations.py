@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 from msgspec.structs import replace
+from support.fusion.picture_jitter import base_jacobian
 from support.fusion.small_problems import first_state, small_data
 
 from trigpoint.fusion.association.events import Events
 from trigpoint.fusion.model.assembly import assemble
 from trigpoint.fusion.model.jitter import Jitter
-from trigpoint.fusion.model.prediction import base_jacobian, batch_jacobian
+from trigpoint.fusion.model.prediction import batch_jacobian
 from trigpoint.fusion.model.problem import Batch
 from trigpoint.fusion.solver.equations import System
 from trigpoint.fusion.solver.innovations import innovations
