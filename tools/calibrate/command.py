@@ -2,7 +2,7 @@
 
 import math
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Annotated, Literal
@@ -88,8 +88,7 @@ def main(
     if not json:
         typer.echo(f"written to {folder}; open {folder / REPORT} in a browser")
     _check_used(results, [*pipeline.arrivals.doubts, *results.doubts])
-    _check_told(sorted(pipeline.arrivals.odometry.otherwise))
-    _check_lenses(pipeline.arrivals.lenses)
+    _check_right(pipeline.arrivals.odometry.otherwise, pipeline.arrivals.lenses)
 
 
 def _worked_out(task: Task) -> Pipeline:
@@ -128,22 +127,22 @@ def _check_used(results: Results, doubts: Sequence[str]) -> None:
         raise OperationError("no camera could be located; the notes above say what may be why")
 
 
-def _check_told(robots: Sequence[str]) -> None:
-    """Raise OperationError where cameras rest on odometry, or a target, that they contradict."""
-    if robots:
-        raise OperationError(
-            f"do not use these cameras: what they saw contradicts the odometry of "
-            f"{', '.join(robots)} as it is read, or the target file; correct what the note above "
-            "says"
+def _check_right(told_otherwise: Iterable[str], lenses: Mapping[str, UnfitLens]) -> None:
+    """Raise OperationError where cameras are elsewhere because of robots' odometry that they
+    contradict, or a target, or of lenses that are not theirs."""
+    causes = list[str]()
+    if robots := ", ".join(sorted(told_otherwise)):
+        causes.append(
+            f"what they saw contradicts the odometry of {robots} as it is read, or the target file"
         )
-
-
-def _check_lenses(lenses: Mapping[str, UnfitLens]) -> None:
-    """Raise OperationError where cameras are elsewhere because of lenses that are not theirs."""
     if any(lens.is_harmful for lens in lenses.values()):
+        causes.append(
+            "they are farther off than their sigmas, since pictures do not fit the lens of "
+            f"{', '.join(sorted(lenses))}"
+        )
+    if causes:
         raise OperationError(
-            "do not use these cameras: they are farther off than their sigmas, since pictures do "
-            f"not fit the lens of {', '.join(sorted(lenses))}; do what the note above says"
+            f"do not use these cameras: {'; and '.join(causes)}; correct what the notes above say"
         )
 
 
