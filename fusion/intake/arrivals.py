@@ -131,6 +131,23 @@ class Arrivals:
         return [*self.odometry.texts, *self._exchanged.values(), *described, *clocks, *lenses]
 
     @property
+    def contradicted(self) -> str:
+        """Why located cameras are elsewhere: robots' odometry that they contradict, or a target, or
+        lenses that are not theirs; "" where nothing is known against them."""
+        causes = list[str]()
+        if robots := ", ".join(sorted(self.odometry.otherwise)):
+            causes.append(
+                f"what they saw contradicts the odometry of {robots} as it is read, or the target "
+                "file"
+            )
+        if any(lens.is_harmful for lens in self.lenses.values()):
+            causes.append(
+                "they are farther off than their sigmas, since pictures do not fit the lens of "
+                f"{', '.join(sorted(self.lenses))}"
+            )
+        return "; and ".join(causes)
+
+    @property
     def apart(self) -> dict[str, str]:
         """Camera -> what is wrong and what to do, for those that saw targets only at times from
         which there is no odometry of any robot."""

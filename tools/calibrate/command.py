@@ -2,7 +2,7 @@
 
 import math
 import textwrap
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Annotated, Literal
@@ -13,7 +13,6 @@ from trigpoint.base.errors import InputError, OperationError, writing
 from trigpoint.base.terminal import Progress, table, waiting
 from trigpoint.base.words import counted, two_decimals
 from trigpoint.fusion.estimators.results import Results
-from trigpoint.fusion.estimators.unfit_lenses import UnfitLens
 from trigpoint.fusion.pipeline import Pipeline
 from trigpoint.map.building import attached_plan, load_plan
 from trigpoint.map.network import ON_ONE_SIGHTING, CameraRecord, encode_network
@@ -88,7 +87,8 @@ def main(
     if not json:
         typer.echo(f"written to {folder}; open {folder / REPORT} in a browser")
     _check_used(results, [*pipeline.arrivals.doubts, *results.doubts])
-    _check_right(pipeline.arrivals.odometry.otherwise, pipeline.arrivals.lenses)
+    if why := pipeline.arrivals.contradicted:
+        raise OperationError(f"do not use these cameras: {why}; correct what the notes above say")
 
 
 def _worked_out(task: Task) -> Pipeline:
@@ -125,25 +125,6 @@ def _check_used(results: Results, doubts: Sequence[str]) -> None:
         raise OperationError(f"no camera could be located; {name}{others} is unseen: {why}")
     if doubts and not results.network.located:
         raise OperationError("no camera could be located; the notes above say what may be why")
-
-
-def _check_right(told_otherwise: Iterable[str], lenses: Mapping[str, UnfitLens]) -> None:
-    """Raise OperationError where cameras are elsewhere because of robots' odometry that they
-    contradict, or a target, or of lenses that are not theirs."""
-    causes = list[str]()
-    if robots := ", ".join(sorted(told_otherwise)):
-        causes.append(
-            f"what they saw contradicts the odometry of {robots} as it is read, or the target file"
-        )
-    if any(lens.is_harmful for lens in lenses.values()):
-        causes.append(
-            "they are farther off than their sigmas, since pictures do not fit the lens of "
-            f"{', '.join(sorted(lenses))}"
-        )
-    if causes:
-        raise OperationError(
-            f"do not use these cameras: {'; and '.join(causes)}; correct what the notes above say"
-        )
 
 
 def _say_alignment(alignment: Alignment) -> None:

@@ -75,4 +75,6 @@ def test_calibrate_gives_no_cameras_that_rest_on_other_lenses(tmp_path: Path, cl
         r"c1: its pictures do not fit its lens: .* longer fits; calibrate it", said.err
     )
     assert re.search(r"do not use these cameras: .*the lens of c1;", said.err)
-    assert "do not fit its lens" in (tmp_path / "calibration" / "report.html").read_text()
+    page = (tmp_path / "calibration" / "report.html").read_text()
+    assert "<h1>Do not use these cameras</h1>" in page
+    assert page.index("do not fit its lens") < page.index("cameras located")
