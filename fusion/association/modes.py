@@ -202,7 +202,8 @@ class ModeFinder:
         covariances (n, 6, 6) of that odometry."""
         track = self.data.tracks[visit.robot]
         stamps = np.array([self.observations[index].stamp_ns for index in visit.indices])
-        inside = np.clip(stamps, track.first_ns, track.last_ns)
+        taken = self.data.true_times_ns(mode.camera, stamps)
+        inside = np.clip(taken, track.first_ns, track.last_ns)
         odometry = odometry_poses(track, inside)
         moments, row_of = np.unique(inside, return_inverse=True)
         anchors = np.array([row for row, i in enumerate(visit.indices) if i in mode.poses])

@@ -7,7 +7,7 @@ from msgspec.structs import replace
 
 from trigpoint.fusion.model.dataset import CameraMove, Lift
 from trigpoint.fusion.model.observations import Observation
-from trigpoint.fusion.model.problem import CameraState, true_times_ns
+from trigpoint.fusion.model.problem import CameraState
 from trigpoint.fusion.solver.filter import is_placed
 from trigpoint.geometry import Pose
 
@@ -253,8 +253,7 @@ class Outcome:
         """When the first and the last picture of a visit were taken, by its camera's clock."""
         visit = self.best.visits[number].visit
         stamps_ns = np.array([visit.stamp_ns, visit.until_ns])
-        camera = self._camera(visit.camera)
-        first, last = true_times_ns(stamps_ns, camera.offset_s(self.data.since_epoch_s(stamps_ns)))
+        first, last = self.data.true_times_ns(self._camera(visit.camera), stamps_ns)
         return int(first), int(last)
 
     def _moves(self) -> list[CameraMove]:

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from trigpoint.fusion.model.assembly import Assembled, assemble
 from trigpoint.fusion.model.dataset import DataSet, Entry
 from trigpoint.fusion.model.observations import Observation, Verdict, View, moving
-from trigpoint.fusion.model.problem import CameraState, RobotState, State, true_times_ns
+from trigpoint.fusion.model.problem import CameraState, RobotState, State
 from trigpoint.fusion.reading.views import BODY, VIEWS, body_tables, view_tables
 from trigpoint.fusion.solver.equations import EXACT, Equations, EquationsHandle
 from trigpoint.fusion.solver.tables import PROBLEM, STATE, problem_tables, state_of, state_tables
@@ -154,7 +154,7 @@ class Pictures:
     def _moving(self, camera: CameraState) -> list[View]:
         """The views of a robot that moves as odometry says when each is taken."""
         stamps_ns = np.array([observation.stamp_ns for observation in self.observations])
-        times_ns = true_times_ns(stamps_ns, camera.offset_s(self.data.since_epoch_s(stamps_ns)))
+        times_ns = self.data.true_times_ns(camera, stamps_ns)
         track, scales = self.data.tracks[self.robot], self.robots[self.robot].scales
         moved = moving(self.observations, track, times_ns, scales)
         return [view for observation in moved for view in observation.views]

@@ -17,7 +17,7 @@ from .known_cameras import KnownCameras
 from .observations import Observation, Verdict, base_from_faces, moving
 from .odometry import SLIP, OdometryTrack
 from .past import ODOMETRY_BEFORE_NS, Past, PastCamera
-from .problem import CameraState, RobotState, State
+from .problem import CameraState, RobotState, State, true_times_ns
 
 _MOST_TOLD = 64
 """So many told moves of a camera are kept."""
@@ -175,6 +175,10 @@ class DataSet(Struct):
     def since_epoch_s(self, stamps_ns: np.ndarray | int) -> Array:
         """Stamps in seconds since the epoch, of the same shape."""
         return np.asarray(stamps_ns - self.epoch_ns) / NANOSECONDS
+
+    def true_times_ns(self, camera: CameraState, stamps_ns: np.ndarray) -> np.ndarray:
+        """When pictures with these stamps (n,) of a camera were taken, by its clock."""
+        return true_times_ns(stamps_ns, camera.offset_s(self.since_epoch_s(stamps_ns)))
 
     @property
     def camera_names(self) -> list[str]:

@@ -52,8 +52,10 @@ def _read_again(
     ]
     if not seen:
         return False
+    known = state.cameras[camera]
     stamps = np.array([entry.observation.stamp_ns for entry in entries])
-    poses, drift, is_reached = _there(data, assembled, state, robot, stamps, unique(seen))
+    taken, seen = (data.true_times_ns(known, np.array(each)) for each in (stamps, unique(seen)))
+    poses, drift, is_reached = _there(data, assembled, state, robot, taken, seen)
     rows = np.flatnonzero(is_reached)
     if not len(rows):
         return False
