@@ -37,6 +37,7 @@ _LEAST_WINDOWS = 20
 # Prior sigma of a noise sigma's logarithm: what the pictures do not show stays near the stated.
 _PRIOR_LOG_SIGMA = 2.0
 _LEAST_SIGMA = 1e-3
+_NIL = 1e-9  # of a sigma that is stated as none
 _WIDE = 0.03
 # The probability that noise which is as the site file states is rejected in a session.
 _SIGNIFICANCE = 1e-3
@@ -107,7 +108,7 @@ def likeliest(windows: Windows, stated: Array) -> Array:
     # From above: the gradient vanishes for a sigma near zero.
     wide = np.maximum(start, np.log(_WIDE))
     found, value = least(cost, wide)
-    gain = cost(start)[0] - value
+    gain = windows.misfit(np.log(np.maximum(stated, _NIL)))[0] - value
     return np.exp(found) if gain > chi2_limit(len(start), _SIGNIFICANCE) else stated
 
 

@@ -21,7 +21,9 @@ from trigpoint.tools.simulation.sight.targets import target_of
 STATED = np.array([0.05, 0.01, 0.003, 0.1, 0.001, 0.001])
 
 
-def windows(sigmas: np.ndarray, count: int = 60, seed: int = 1) -> Windows:
+def windows(
+    sigmas: np.ndarray, count: int = 60, seed: int = 1, *, seen_to: float = 1e-3
+) -> Windows:
     """Stretches of up to 0.3 m and 1.5 rad with noise of these sigmas, seen to a millimetre."""
     random = np.random.default_rng(seed)
     length, turned = random.uniform(0.0, 0.3, count), random.uniform(0.0, 1.5, count)
@@ -31,7 +33,7 @@ def windows(sigmas: np.ndarray, count: int = 60, seed: int = 1) -> Windows:
         by_noise[part, :, axis, axis] = reach
     by_noise[4, :, [0, 1], [0, 1]] = turned
     by_noise[5, :, 0, 0] = turned
-    by_pictures = np.broadcast_to(1e-6 * np.eye(3), (count, 3, 3))
+    by_pictures = np.broadcast_to(seen_to**2 * np.eye(3), (count, 3, 3))
     covariance = by_pictures + np.einsum("k,knij->nij", sigmas**2, by_noise)
     drawn = random.standard_normal((count, 3, 1))
     return Windows((np.linalg.cholesky(covariance) @ drawn)[..., 0], by_pictures, by_noise)
@@ -50,6 +52,14 @@ def test_gradient_is_that_of_finite_differences() -> None:
 @pytest.mark.parametrize("seed", range(8))
 def test_noise_as_stated_stays_as_stated(seed: int) -> None:
     assert likeliest(windows(STATED, seed=seed), STATED) is STATED
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_slip_of_less_than_the_least_is_as_stated_too(seed: int) -> None:
+    """It was compared with a millimetre of slip and of skid, which any other noise is likelier
+    than."""
+    quiet = np.array([0.003, 0.001, 0.002, 0.003, 1e-4, 0.0])
+    assert likeliest(windows(quiet, seed=seed, seen_to=1e-4), quiet) is quiet
 
 
 @pytest.mark.parametrize("seed", range(4))
