@@ -131,10 +131,12 @@ def solve_consistently(
 
     Nodes are at true times, which depend on the time offsets, and odometry between them is
     integrated with its scales; a problem has both to first order only, and is reassembled where
-    they have changed, or where what a solution `changes` of the data calls for it. Ends too where
-    two solves in a row did not converge: more would take long, and hardly do. `is_begun`: the state
-    comes from a solution."""
+    they have changed, or where what a solution `changes` of the data calls for it. A time offset
+    that went too far, past where the robot's motion changes, goes back. Ends too where two
+    solves in a row did not converge: more would take long, and hardly do. A point that never is
+    stable has not converged either. `is_begun`: the state comes from a solution."""
     solved, iterations, has_converged = None, 0, True
+    tried = dict[str, tuple[float, float]]()
     for _ in range(_MOST_SOLVES):
         used = data.usable(state.cameras)
         if not used:
@@ -147,6 +149,10 @@ def solve_consistently(
         before, state, is_begun = state, solved.state, True
         if not changes(solved) and _is_consistent(before, state):
             break
+        state, tried = _between(before, state, tried)
+    else:
+        assert solved is not None
+        solved = replace(solved, solution=replace(solved.solution, has_converged=False))
     assert solved is not None
     return replace(solved, iterations=iterations)
 
@@ -165,6 +171,23 @@ def _solve_once(
         entry.map_from_base = found.robots[entry.observation.robot].map_from_base[node]
     merged = State(state.cameras | found.cameras, state.robots | found.robots)
     return Solved(merged, assembled, solution, minimum.equations, solution.iterations)
+
+
+def _between(
+    before: State, after: State, last: dict[str, tuple[float, float]]
+) -> tuple[State, dict[str, tuple[float, float]]]:
+    """A state whose time offsets lie where they would change no more (false position), if they now
+    changed the other way; and by camera each offset and how it changed."""
+    cameras, tried = dict(after.cameras), dict[str, tuple[float, float]]()
+    for name, camera in after.cameras.items():
+        offset_s = before.cameras[name].time_offset_s
+        change_s = camera.time_offset_s - offset_s
+        earlier_s, other_s = last.get(name, (offset_s, change_s))
+        if change_s * other_s < 0:
+            back_s = (offset_s - earlier_s) * change_s / (change_s - other_s)
+            cameras[name] = replace(camera, time_offset_s=offset_s - back_s)
+        tried[name] = offset_s, change_s
+    return replace(after, cameras=cameras), tried
 
 
 def _is_consistent(before: State, after: State) -> bool:
