@@ -1,7 +1,7 @@
 """Drawn sessions that once came out wrong or not at all, worked out as `calibrate` does."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -125,7 +125,7 @@ def test_sightings_by_a_late_clock_are_read_where_the_robot_was(tmp_path: Path) 
     """At their stamps it was elsewhere: of a clock that is off by 77 ms, 39 good ones were rejected
     while the robot turned."""
     session = composed_session("drive-everything", 8027)
-    estimator = worked_out_in(session, tmp_path)._estimator
+    estimator = cast(Any, worked_out_in(session, tmp_path)._estimator)
     for name, pictures in session.pictures.items():
         wrong = sum(not face.is_good.any() for picture in pictures for face in picture.faces)
         assert estimator.count(name).rejected <= wrong + 1, name

@@ -21,7 +21,7 @@ from support.fusion.small_problems import (
 
 from trigpoint.fusion.model.assembly import Assembled, assemble
 from trigpoint.fusion.model.jitter import Jitter
-from trigpoint.fusion.model.problem import Problem, State
+from trigpoint.fusion.model.problem import Problem, RobotState, State
 from trigpoint.fusion.solver import levenberg_marquardt
 from trigpoint.fusion.solver.equations import EXACT, covariance_of
 from trigpoint.fusion.solver.levenberg_marquardt import (
@@ -32,6 +32,7 @@ from trigpoint.fusion.solver.levenberg_marquardt import (
     solve,
     solve_consistently,
 )
+from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
 
@@ -363,18 +364,19 @@ def test_two_solves_in_a_row_that_do_not_converge_end_it(
     found = list[Any]()
 
     def solved(*_: Any, **_begun: bool) -> Any:
-        robot = SimpleNamespace(scales=np.full(2, float(len(found))))
-        state = SimpleNamespace(cameras={}, robots={"r1": robot})
-        none = cast(Any, None)
-        found.append(Solved(cast(Any, state), none, _solution(has_converged), none, 1))
+        state, none = _with_scales(float(len(found))), cast(Any, None)
+        solution = Solution(state, none, 0.0, 1, has_converged)
+        found.append(Solved(state, none, solution, none, 1))
         return found[-1]
 
     monkeypatch.setattr(levenberg_marquardt, "_solve_once", solved)
-    start = SimpleNamespace(cameras={}, robots={"r1": SimpleNamespace(scales=np.full(2, -1.0))})
     data = SimpleNamespace(usable=lambda _: [0])
-    solve_consistently(cast(Any, data), cast(Any, start), tolerance=1.0)
+    last = solve_consistently(cast(Any, data), _with_scales(-1.0), tolerance=1.0)
+    assert last is not None
     assert len(found) == solves
+    assert not last.solution.has_converged
 
 
-def _solution(has_converged: bool) -> Any:
-    return SimpleNamespace(has_converged=has_converged)
+def _with_scales(scale: float) -> State:
+    nothing = Pose.stack([])
+    return State({}, {"r1": RobotState(nothing, np.full(2, scale), nothing)})
