@@ -17,7 +17,6 @@ from trigpoint.fusion.estimators.interface import Update
 from trigpoint.fusion.model.dataset import DataSet, Entry
 from trigpoint.fusion.model.known_cameras import KnownCameras
 from trigpoint.fusion.model.observations import Observation, Verdict
-from trigpoint.fusion.model.problem import true_times_ns
 from trigpoint.fusion.solver.filter import RobotEstimate, is_placed
 from trigpoint.geometry.rotation import Array
 
@@ -95,8 +94,7 @@ class Placing:
     def _begin(self, observation: Observation, cameras: KnownCameras) -> None:
         """Add every place that this sighting allows, which no hypothesis explains."""
         state = self._fixed.states[observation.camera]
-        offset = np.array([state.time_offset_s])
-        time_ns = int(true_times_ns(np.array([observation.stamp_ns]), offset)[0])
+        time_ns = int(self._data.true_times_ns(state, observation.stamp_ns))
         track = self._data.tracks[self._robot]
         if not track.covers(time_ns):
             return

@@ -6,7 +6,7 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from trigpoint.base.clock import NANOSECONDS, to_ns
+from trigpoint.base.clock import NANOSECONDS
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.samples import unique
@@ -93,13 +93,6 @@ def _of_one_lens(cameras: dict[str, CameraState], owners: dict[str, str]) -> dic
     }
 
 
-def true_time_ns(data: DataSet, observation: Observation, state: State) -> int:
-    """The true time at which the robot was seen: stamp minus the camera's time offset."""
-    since_epoch_s = data.since_epoch_s(observation.stamp_ns)
-    offset_s = state.cameras[observation.camera].offset_s(np.array(since_epoch_s))
-    return observation.stamp_ns - to_ns(float(offset_s))
-
-
 class _BuiltChain(Struct, frozen=True):
     chain: Chain
     poses: Pose
@@ -111,9 +104,11 @@ def _chain(
 ) -> _BuiltChain:
     track, scales = data.tracks[robot], state.robots[robot].scales
     is_first = anchored and robot == data.anchored_robot
-    times = np.array(
-        [true_time_ns(data, data.entries[i].observation, state) for i in entries], dtype=np.int64
-    )
+    seen = [data.entries[index].observation for index in entries]
+    stamps_ns = np.array([observation.stamp_ns for observation in seen], dtype=np.int64)
+    clocks = np.array([state.cameras[observation.camera].clock for observation in seen])
+    offset, drift = clocks.reshape(-1, 2).T
+    times = true_times_ns(stamps_ns, offset + drift * data.since_epoch_s(stamps_ns))
     times = np.clip(times, track.first_ns, track.last_ns)
     moments = unique(np.concatenate([times, [track.first_ns]]) if is_first else times)
     if anchored:

@@ -176,8 +176,8 @@ class DataSet(Struct):
         """Stamps in seconds since the epoch, of the same shape."""
         return np.asarray(stamps_ns - self.epoch_ns) / NANOSECONDS
 
-    def true_times_ns(self, camera: CameraState, stamps_ns: np.ndarray) -> np.ndarray:
-        """When pictures with these stamps (n,) of a camera were taken, by its clock."""
+    def true_times_ns(self, camera: CameraState, stamps_ns: np.ndarray | int) -> np.ndarray:
+        """When pictures with these stamps (…) of a camera were taken, by its clock."""
         return true_times_ns(stamps_ns, camera.offset_s(self.since_epoch_s(stamps_ns)))
 
     @property

@@ -93,8 +93,8 @@ class Chain(Struct, frozen=True):
         return len(self.stamps_ns)
 
 
-def true_times_ns(stamps_ns: np.ndarray, offset_s: Array) -> np.ndarray:
-    """The true times (n,) of stamps (n,): true time = stamp - time offset."""
+def true_times_ns(stamps_ns: np.ndarray | int, offset_s: Array) -> np.ndarray:
+    """The true times (…) of stamps (…): true time = stamp - time offset."""
     return stamps_ns - np.round(offset_s * NANOSECONDS).astype(np.int64)
 
 

@@ -11,7 +11,6 @@ from msgspec import Struct
 from trigpoint.fusion.estimators.interface import CameraEstimate
 from trigpoint.fusion.estimators.marginals import camera_estimates
 from trigpoint.fusion.estimators.robot_alignment import align_before
-from trigpoint.fusion.model.assembly import true_time_ns
 from trigpoint.fusion.model.dataset import CameraMove, DataSet, Entry
 from trigpoint.fusion.model.gates import is_noise
 from trigpoint.fusion.model.observations import Observation, Verdict
@@ -133,7 +132,8 @@ class CurrentFilter:
     def _moment_of(self, entry: Entry) -> int:
         """The true time of an entry; sets its observation's twist to the robot's at that time."""
         assert self.known is not None
-        time_ns = true_time_ns(self.data, entry.observation, self.known.state)
+        camera = self.known.state.cameras[entry.observation.camera]
+        time_ns = int(self.data.true_times_ns(camera, entry.observation.stamp_ns))
         scales = self.known.scales(entry.observation.robot)
         entry.observation = self.data.moving(entry.observation, time_ns, scales)
         return time_ns
