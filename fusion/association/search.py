@@ -67,6 +67,7 @@ class Search:
         self._open_score = [
             log_sum(modes.evidence.tolist()) + events.pose_score for modes in graph.modes
         ]
+        self._shows_one_picture = [visit.is_one_picture for visit in graph.visits]
 
     @property
     def is_given_up(self) -> bool:
@@ -172,13 +173,13 @@ class Search:
     def _is_one_picture(self, hypothesis: Hypothesis, which: int | Place) -> bool:
         """Return whether all that shows one of a camera's places is a single picture."""
         if isinstance(which, int):
-            return self.visits[which].is_one_picture
+            return self._shows_one_picture[which]
         camera, place = which
         if not place and camera in self.graph.data.known.poses:
             return False
         mine = of_camera(hypothesis, self.visits, camera)
         there = [n for n in mine if hypothesis.place_of(n) == place]
-        return len(there) == 1 and self.visits[there[0]].is_one_picture
+        return len(there) == 1 and self._shows_one_picture[there[0]]
 
     def happened(self, hypothesis: Hypothesis) -> int:
         """Return the number of lifts and moves in a hypothesis, but for moves that were told."""
