@@ -6,6 +6,7 @@ hypothesis. The alternatives are that the visit's sightings are wrong and that t
 where no pair agrees well, also that the robot was lifted in one of the gaps before.
 """
 
+import math
 from collections.abc import Iterable
 from itertools import islice, pairwise, product
 from weakref import WeakKeyDictionary
@@ -62,7 +63,7 @@ class Search:
         self.visits, self.is_cut = graph.visits, False
         self.told = ToldMoves(graph)
         self._graphs = Minima(graph)
-        # By graph, which many hypotheses that grow from one share: `_moved_score`.
+        # By graph, which many hypotheses that grow from one share: `_apart`.
         self._pushes = WeakKeyDictionary[Factor, dict[tuple[int | Place, int | Place], float]]()
         self._open_score = [
             log_sum(modes.evidence.tolist()) + events.pose_score for modes in graph.modes
@@ -127,7 +128,7 @@ class Search:
         assert hypothesis.placed is not None
         score = hypothesis.placed.score
         score += sum(self._open_score[number] for number in hypothesis.open)
-        score += sum(self.visits[number].nothing for number in hypothesis.nothing)
+        score += sum(self._wrong_score(hypothesis, number) for number in hypothesis.nothing)
         score += self.events.happened(self.happened(hypothesis))
         score += sum(
             self._moved_score(hypothesis, earlier, later)
@@ -153,33 +154,46 @@ class Search:
         self, hypothesis: Hypothesis, earlier: int | Place, later: int | Place
     ) -> float:
         """Return the score of a camera's move from one of its places to the next, which may have
-        been only a push (`Events.moved`). A single picture never shows a push: one that is off by
-        little is likelier wrong."""
-        placed = hypothesis.placed
-        assert placed is not None
-        if self._is_one_picture(hypothesis, earlier) or self._is_one_picture(hypothesis, later):
-            return self.events.moved(np.inf)
-        known = self._pushes.setdefault(placed.factor, {})
-        if (earlier, later) in known:
-            return known[earlier, later]
-        cost = agreement(self.graph, placed, earlier, later, self.events.push)
-        apart = log_sum(cost.reshape(-1).tolist())
+        been only a push (`Events.moved`)."""
+        apart = self._apart(hypothesis, earlier, later)
         for each in (earlier, later):
             if isinstance(each, int):
                 apart -= self._open_score[each] - self.events.pose_score
-        known[earlier, later] = self.events.moved(apart)
-        return known[earlier, later]
+        return self.events.moved(apart)
 
-    def _is_one_picture(self, hypothesis: Hypothesis, which: int | Place) -> bool:
-        """Return whether all that shows one of a camera's places is a single picture."""
-        if isinstance(which, int):
-            return self._shows_one_picture[which]
-        camera, place = which
-        if not place and camera in self.graph.data.known.poses:
-            return False
+    def _wrong_score(self, hypothesis: Hypothesis, number: int) -> float:
+        """Return the score of a visit that is wrong. A single picture shows its board, as often as
+        anywhere, near where it would have to be: as near as a camera is that was pushed."""
+        visit = self.visits[number]
+        place = self._place_about(hypothesis, number) if self._shows_one_picture[number] else None
+        if place is None:
+            return visit.nothing
+        near = self._apart(hypothesis, place, number) + self.events.wrong_score
+        if isinstance(place, int):
+            near -= self._open_score[place] - self.events.pose_score
+        return -2 * (float(np.logaddexp(-0.5 * visit.nothing, -0.5 * near)) - math.log(2))
+
+    def _place_about(self, hypothesis: Hypothesis, number: int) -> int | Place | None:
+        """Return where a camera was as a wrong visit was: its place before, else after; an open one
+        as the number of its only visit; None where the hypothesis has none."""
+        camera = self.visits[number].visit.camera
         mine = of_camera(hypothesis, self.visits, camera)
-        there = [n for n in mine if hypothesis.place_of(n) == place]
-        return len(there) == 1 and self._shows_one_picture[there[0]]
+        if not self.visits[number].modes or not mine:
+            return None
+        nearest = max((n for n in mine if n < number), default=mine[0])
+        place = hypothesis.place_of(nearest)
+        return nearest if nearest in hypothesis.open or place is None else (camera, place)
+
+    def _apart(self, hypothesis: Hypothesis, first: int | Place, second: int | Place) -> float:
+        """Return -2 ln of the likelihood that two places of a camera are no further apart than a
+        push moves it, with the evidence of the visits among them."""
+        placed = hypothesis.placed
+        assert placed is not None
+        known = self._pushes.setdefault(placed.factor, {})
+        if (first, second) not in known:
+            cost = agreement(self.graph, placed, first, second, self.events.push)
+            known[first, second] = log_sum(cost.reshape(-1).tolist())
+        return known[first, second]
 
     def happened(self, hypothesis: Hypothesis) -> int:
         """Return the number of lifts and moves in a hypothesis, but for moves that were told."""
