@@ -64,7 +64,8 @@ class Search:
         self.told = ToldMoves(graph)
         self._graphs = Minima(graph)
         # By graph, which many hypotheses that grow from one share: `_apart`.
-        self._pushes = WeakKeyDictionary[Factor, dict[tuple[int | Place, int | Place], float]]()
+        self._likelihoods = WeakKeyDictionary[Factor, dict[object, float]]()
+        self._apart_by = {"nothing": np.zeros((6, 6)), "a push": events.push}
         self._open_score = [
             log_sum(modes.evidence.tolist()) + events.pose_score for modes in graph.modes
         ]
@@ -155,7 +156,7 @@ class Search:
     ) -> float:
         """Return the score of a camera's move from one of its places to the next, which may have
         been only a push (`Events.moved`)."""
-        apart = self._apart(hypothesis, earlier, later)
+        apart = self._apart(hypothesis, earlier, later, "a push")
         for each in (earlier, later):
             if isinstance(each, int):
                 apart -= self._open_score[each] - self.events.pose_score
@@ -163,15 +164,18 @@ class Search:
 
     def _wrong_score(self, hypothesis: Hypothesis, number: int) -> float:
         """Return the score of a visit that is wrong. A single picture shows its board, as often as
-        anywhere, near where it would have to be: as near as a camera is that was pushed."""
-        visit = self.visits[number]
+        anywhere, near where it would have to be, as near as a camera is that was pushed: if that
+        is likelier than that it is right."""
+        nothing = self.visits[number].nothing
         place = self._place_about(hypothesis, number) if self._shows_one_picture[number] else None
         if place is None:
-            return visit.nothing
-        near = self._apart(hypothesis, place, number) + self.events.wrong_score
+            return nothing
+        near = self._apart(hypothesis, place, number, "a push") + self.events.wrong_score
+        if near > self._apart(hypothesis, place, number, "nothing"):
+            return nothing
         if isinstance(place, int):
             near -= self._open_score[place] - self.events.pose_score
-        return -2 * (float(np.logaddexp(-0.5 * visit.nothing, -0.5 * near)) - math.log(2))
+        return -2 * (float(np.logaddexp(-0.5 * nothing, -0.5 * near)) - math.log(2))
 
     def _place_about(self, hypothesis: Hypothesis, number: int) -> int | Place | None:
         """Return where a camera was as a wrong visit was: its place before, else after; an open one
@@ -181,19 +185,20 @@ class Search:
         if not self.visits[number].modes or not mine:
             return None
         nearest = max((n for n in mine if n < number), default=mine[0])
-        place = hypothesis.place_of(nearest)
-        return nearest if nearest in hypothesis.open or place is None else (camera, place)
+        return nearest if nearest in hypothesis.open else (camera, hypothesis.places[nearest])
 
-    def _apart(self, hypothesis: Hypothesis, first: int | Place, second: int | Place) -> float:
-        """Return -2 ln of the likelihood that two places of a camera are no further apart than a
-        push moves it, with the evidence of the visits among them."""
+    def _apart(
+        self, hypothesis: Hypothesis, first: int | Place, second: int | Place, by: str
+    ) -> float:
+        """Return -2 ln of the likelihood that two places of a camera are apart by nothing, or
+        by a push, with the evidence of the visits among them."""
         placed = hypothesis.placed
         assert placed is not None
-        known = self._pushes.setdefault(placed.factor, {})
-        if (first, second) not in known:
-            cost = agreement(self.graph, placed, first, second, self.events.push)
-            known[first, second] = log_sum(cost.reshape(-1).tolist())
-        return known[first, second]
+        known, key = self._likelihoods.setdefault(placed.factor, {}), (first, second, by)
+        if key not in known:
+            cost = agreement(self.graph, placed, first, second, self._apart_by[by])
+            known[key] = log_sum(cost.reshape(-1).tolist())
+        return known[key]
 
     def happened(self, hypothesis: Hypothesis) -> int:
         """Return the number of lifts and moves in a hypothesis, but for moves that were told."""
