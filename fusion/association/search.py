@@ -48,6 +48,8 @@ class _Join(Struct, frozen=True):
 # The mode of the only visit to a place so far (None: the graph has the place already), and that of
 # the new visit.
 _Pair = tuple[int | None, int]
+# A place of the graph or, where it is open, the number of the only visit to it.
+_Spot = int | Place
 
 
 class Search:
@@ -138,58 +140,57 @@ class Search:
         )
         return replace(hypothesis, score=score)
 
-    def _places(self, hypothesis: Hypothesis) -> dict[str, list[int | Place]]:
-        """Return, for each camera that was moved, its places in order of time: each as a place of
-        the graph or, where it is open, as the number of the only visit to it."""
+    def _places(self, hypothesis: Hypothesis) -> dict[str, list[_Spot]]:
+        """Return, for each camera that was moved, its places in order of time."""
         placed = hypothesis.placed
         assert placed is not None
-        places: dict[Place, int | Place] = {place: place for place in placed.layout.places}
+        places: dict[Place, _Spot] = {place: place for place in placed.layout.places}
         for number, place in hypothesis.open.items():
             places[self.visits[number].visit.camera, place] = number
-        found: dict[str, list[int | Place]] = {}
+        found: dict[str, list[_Spot]] = {}
         for camera, _ in sorted(place for place in places if place[1] > 0):
             found[camera] = [places[key] for key in sorted(places) if key[0] == camera]
         return found
 
-    def _moved_score(
-        self, hypothesis: Hypothesis, earlier: int | Place, later: int | Place
-    ) -> float:
+    def _moved_score(self, hypothesis: Hypothesis, earlier: _Spot, later: _Spot) -> float:
         """Return the score of a camera's move from one of its places to the next, which may have
         been only a push (`Events.moved`)."""
         apart = self._apart(hypothesis, earlier, later, "a push")
-        for each in (earlier, later):
-            if isinstance(each, int):
-                apart -= self._open_score[each] - self.events.pose_score
+        apart -= sum(self._seen_score(each) for each in (earlier, later))
         return self.events.moved(apart)
 
     def _wrong_score(self, hypothesis: Hypothesis, number: int) -> float:
         """Return the score of a visit that is wrong. A single picture shows its board, as often as
         anywhere, near where it would have to be, as near as a camera is that was pushed: if that
         is likelier than that it is right."""
-        nothing = self.visits[number].nothing
-        place = self._place_about(hypothesis, number) if self._shows_one_picture[number] else None
+        nothing, place = self.visits[number].nothing, self._place_about(hypothesis, number)
         if place is None:
             return nothing
         near = self._apart(hypothesis, place, number, "a push") + self.events.wrong_score
         if near > self._apart(hypothesis, place, number, "nothing"):
             return nothing
-        if isinstance(place, int):
-            near -= self._open_score[place] - self.events.pose_score
+        near -= self._seen_score(place)
         return -2 * (float(np.logaddexp(-0.5 * nothing, -0.5 * near)) - math.log(2))
 
-    def _place_about(self, hypothesis: Hypothesis, number: int) -> int | Place | None:
-        """Return where a camera was as a wrong visit was: its place before, else after; an open one
-        as the number of its only visit; None where the hypothesis has none."""
+    def _seen_score(self, place: _Spot) -> float:
+        """Return what the visit to an open place counts for already."""
+        return self._open_score[place] - self.events.pose_score if isinstance(place, int) else 0.0
+
+    def _place_about(self, hypothesis: Hypothesis, number: int) -> _Spot | None:
+        """Return where a camera was as a visit of a single picture was wrong: its place before, or
+        after; None where there is none."""
+        if not (self._shows_one_picture[number] and self.visits[number].modes):
+            return None
         camera = self.visits[number].visit.camera
         mine = of_camera(hypothesis, self.visits, camera)
-        if not self.visits[number].modes or not mine:
+        if camera in self.graph.data.known.poses and not (mine and mine[0] < number):
+            return camera, 0
+        if not mine:
             return None
-        nearest = max((n for n in mine if n < number), default=mine[0])
+        nearest = max([n for n in mine if n < number] or mine[:1])
         return nearest if nearest in hypothesis.open else (camera, hypothesis.places[nearest])
 
-    def _apart(
-        self, hypothesis: Hypothesis, first: int | Place, second: int | Place, by: str
-    ) -> float:
+    def _apart(self, hypothesis: Hypothesis, first: _Spot, second: _Spot, by: str) -> float:
         """Return -2 ln of the likelihood that two places of a camera are apart by nothing, or
         by a push, with the evidence of the visits among them."""
         placed = hypothesis.placed

@@ -9,7 +9,6 @@ much as a lift. Corrections come from the only hypothesis that is left within th
 
 from collections import Counter
 
-import numpy as np
 from numpy.linalg import LinAlgError
 
 from trigpoint.fusion.association.events import window

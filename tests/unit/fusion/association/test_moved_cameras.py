@@ -17,6 +17,7 @@ from support.fusion.drives import (
     with_moved,
 )
 
+from trigpoint.contract.messages import Sightings
 from trigpoint.fusion.model.known_cameras import KnownCameras
 from trigpoint.geometry import Pose
 from trigpoint.geometry import rotation as so3
@@ -83,3 +84,21 @@ def test_known_camera_that_may_have_been_moved_is_not_given_out() -> None:
     camera = network.cameras["c1"]
     assert camera.status == "undetermined"
     assert any("none of them holds all" in reason for reason in camera.undetermined)
+
+
+def test_first_picture_of_a_known_camera_that_is_off_by_little_is_no_push() -> None:
+    """Nothing but where it is known to be tells that the picture is wrong."""
+    cameras = lab_cameras(2)
+    old = cameras["c1"].map_from_camera
+    off = Pose(old.rotation, old.translation + np.array([0.12, 0.0, 0.0]))
+    robots = {"r1": RobotPlan(circle(), target_of("charuco"))}
+    there = {**cameras, "c1": replace(cameras["c1"], map_from_camera=off)}
+    session = make_session(Plan(there, robots, seconds=40.0, picture_rate=1.0))
+    of_c1 = [m for node, m in session.messages if node == "c1" and isinstance(m, Sightings)]
+    messages = [each for each in session.messages if each[1] not in of_c1[1:]]
+    poses = {name: camera.map_from_camera for name, camera in cameras.items()}
+    known = KnownCameras(poses, 1e6 * np.eye(12))
+    network = pushed(replace(session.inputs, known=known), messages).results().network
+    camera = network.cameras["c1"]
+    assert camera.earlier == ()
+    assert camera.rejected == camera.sightings
