@@ -142,9 +142,8 @@ class Search:
 
     def _places(self, hypothesis: Hypothesis) -> dict[str, list[_Spot]]:
         """Return, for each camera that was moved, its places in order of time."""
-        placed = hypothesis.placed
-        assert placed is not None
-        places: dict[Place, _Spot] = {place: place for place in placed.layout.places}
+        assert hypothesis.placed is not None
+        places: dict[Place, _Spot] = {place: place for place in hypothesis.placed.layout.places}
         for number, place in hypothesis.open.items():
             places[self.visits[number].visit.camera, place] = number
         found: dict[str, list[_Spot]] = {}

@@ -95,7 +95,7 @@ def test_first_picture_of_a_known_camera_that_is_off_by_little_is_no_push() -> N
     there = {**cameras, "c1": replace(cameras["c1"], map_from_camera=off)}
     session = make_session(Plan(there, robots, seconds=40.0, picture_rate=1.0))
     of_c1 = [m for node, m in session.messages if node == "c1" and isinstance(m, Sightings)]
-    messages = [each for each in session.messages if each[1] not in of_c1[1:]]
+    messages = tuple(each for each in session.messages if each[1] not in of_c1[1:])
     poses = {name: camera.map_from_camera for name, camera in cameras.items()}
     known = KnownCameras(poses, 1e6 * np.eye(12))
     network = pushed(replace(session.inputs, known=known), messages).results().network
