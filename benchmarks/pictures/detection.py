@@ -3,11 +3,9 @@
 Milliseconds a picture, faces found, corners against the projected truth.
 """
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from functools import partial
 
-import cv2
 import numpy as np
 from msgspec import Struct, field
 
@@ -59,9 +57,8 @@ class Run(Struct):
 def run(effort: float = 1.0) -> list[Row]:
     """Both kinds of target, at both sizes, driving: at rest all came out the same."""
     choices = ("charuco", "checkerboard")
-    with one_thread():
-        rows = [row for target in choices for size in _SIZES for row in _rows(target, size, effort)]
-        return rows + [_worst_row(target) for target in choices]
+    rows = [row for target in choices for size in _SIZES for row in _rows(target, size, effort)]
+    return rows + [_worst_row(target) for target in choices]
 
 
 def our_finder(target: Target) -> Finder:
@@ -101,17 +98,6 @@ def runs(finders: Mapping[str, Finder], views: list[View]) -> dict[str, Run]:
             done[name].seconds.append(min(turn[name][0] for turn in turns))
             done[name].answers.append(turns[0][name][1])
     return done
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """OpenCV keeps to the calling thread."""
-    before = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    try:
-        yield
-    finally:
-        cv2.setNumThreads(before)
 
 
 def _rows(choice: str, size: str, effort: float) -> list[Row]:

@@ -18,9 +18,8 @@ from benchmarks.timing import worked
 from trigpoint.edge.detector import detector_for
 from trigpoint.site.target import NOWHERE, Face, Pattern, Target
 
-from .detection import one_thread
 from .empty import APRILGRID, empty_pictures
-from .photographs import photographs
+from .real_sets import photographs
 from .views import gallery
 
 # Small ones are found by chance most easily.
@@ -81,9 +80,8 @@ def main(
         for columns, rows in _SIZES
     }
     drawn = enumerate(empty_pictures(count, first=first), first)
-    with one_thread():
-        found = sighted_rows("drawn", ((f"picture {n}", picture) for n, picture in drawn), lab)
-        if find_spec("skimage"):
-            return found + sighted_rows("photographs", scenes(), boards | lab)
+    found = sighted_rows("drawn", ((f"picture {n}", picture) for n, picture in drawn), lab)
+    if find_spec("skimage"):
+        return found + sighted_rows("photographs", scenes(), boards | lab)
     typer.echo("photographs: left out; pip install -c constraints.txt -e '.[bench]'", err=True)
     return found

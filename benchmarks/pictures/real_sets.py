@@ -1,6 +1,10 @@
-"""Sets of real pictures with a board each: others', which are not part of the project."""
+"""Real pictures: sets with a board each, which are others' and not part of the project; and the
+photographs that scikit-image ships (rooms, people, streets, stones, print), there with the extra
+`bench`."""
 
 from collections.abc import Iterator
+from functools import cache
+from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
 
@@ -94,3 +98,23 @@ SETS = (
     PictureSet("charuco-video, 1280 x 720", "charuco-video", CHARUCO_VIDEO, every=9),
     PictureSet("aprilgrid, 3072 x 4080", "boards/aprilgrid", APRILGRID),
 )
+# A board of eight by eight squares, and drawings.
+_BOARDS = ("chessboard_GRAY", "chessboard_RGB")
+_DRAWN = ("logo", "phantom", "horse", "color")
+
+
+@cache
+def photographs() -> dict[str, np.ndarray]:
+    """Grey pictures (h, w) uint8 by name; raises ModuleNotFoundError without the extra."""
+    spec = find_spec("skimage")
+    if spec is None or spec.origin is None:
+        raise ModuleNotFoundError("pip install -c constraints.txt -e '.[bench]'")
+    files = sorted((Path(spec.origin).parent / "data").glob("*.[pj][np]g"))
+    read = {file.stem: cv2.imread(str(file), cv2.IMREAD_GRAYSCALE) for file in files}
+    return {name: picture for name, picture in read.items() if picture is not None}
+
+
+def backgrounds() -> list[np.ndarray]:
+    """Those that may lie behind a board of ours."""
+    left_out = (*_BOARDS, *_DRAWN)
+    return [picture for name, picture in photographs().items() if name not in left_out]

@@ -19,8 +19,8 @@ from trigpoint.site.target import NOWHERE, Face, Pattern, Target
 from trigpoint.tools.simulation.drawing.textures import texture
 from trigpoint.tools.simulation.sight.seen_corners import smallest_square
 
-from .detection import OURS, one_thread, opencv_finders, our_finder, runs
-from .photographs import backgrounds
+from .detection import OURS, opencv_finders, our_finder, runs
+from .real_sets import backgrounds
 from .scoring import Found, score_of, score_rows, sigma_row
 from .views import LEAST_SQUARE_PX, TrueFace, View
 
@@ -69,8 +69,7 @@ KINDS = {
 def run(effort: float = 1.0) -> list[Row]:
     """Both patterns, every kind of picture."""
     count = share_of(_VIEWS, effort, least=2)
-    with one_thread():
-        return [row for choice in FACES for kind in KINDS for row in _rows(choice, kind, count)]
+    return [row for choice in FACES for kind in KINDS for row in _rows(choice, kind, count)]
 
 
 def _rows(choice: str, kind: str, count: int) -> list[Row]:
