@@ -1,6 +1,7 @@
 """The targets that robots carry in drawn sessions: patterns of every kind, on three shapes."""
 
 from functools import cache, partial
+from typing import Any
 
 import numpy as np
 from msgspec import structs
@@ -18,19 +19,21 @@ from trigpoint.tools.shapes.bodies import (
 _BOX_MARGIN_M = 0.02
 
 
-def _face(
+def face_of(
     pattern: Pattern,
     columns: int,
     rows: int,
     square: float,
     marker: float | None = None,
     dictionary: str | None = None,
+    **more: Any,
 ) -> Face:
-    """Such a face, wherever it is."""
-    return Face(0, pattern, columns, rows, square, *NOWHERE, marker=marker, dictionary=dictionary)
+    """Such a face, wherever it is; `more`: other fields."""
+    markers = {"marker": marker, "dictionary": dictionary}
+    return Face(0, pattern, columns, rows, square, *NOWHERE, **markers, **more)
 
 
-_checkerboard = partial(_face, Pattern.CHECKERBOARD)
+_checkerboard = partial(face_of, Pattern.CHECKERBOARD)
 
 # Of each pattern: what each of a target's faces has printed on it (the last one for all further),
 # for the first, second and third robot where they carry different ones. Checkerboards whose
@@ -58,9 +61,9 @@ _PRINTS: dict[str, tuple[tuple[Face, ...], ...]] = {
             for size in ((10, 7), (10, 6), (10, 8), (9, 5), (9, 8), (10, 5))
         ),
     ),
-    "charuco": ((_face(Pattern.CHARUCO, 9, 7, 0.0285, 0.021, "DICT_5X5_1000"),),) * 3,
-    "charuco_large": ((_face(Pattern.CHARUCO, 5, 4, 0.06, 0.045, "DICT_4X4_250"),),) * 3,
-    "aprilgrid": ((_face(Pattern.APRILGRID, 3, 2, 0.1, 0.078, "DICT_APRILTAG_36h11"),),) * 3,
+    "charuco": ((face_of(Pattern.CHARUCO, 9, 7, 0.0285, 0.021, "DICT_5X5_1000"),),) * 3,
+    "charuco_large": ((face_of(Pattern.CHARUCO, 5, 4, 0.06, 0.045, "DICT_4X4_250"),),) * 3,
+    "aprilgrid": ((face_of(Pattern.APRILGRID, 3, 2, 0.1, 0.078, "DICT_APRILTAG_36h11"),),) * 3,
 }
 
 

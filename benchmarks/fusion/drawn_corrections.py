@@ -23,7 +23,6 @@ from trigpoint.fusion.model.problem import (
     State,
     layout_of,
 )
-from trigpoint.fusion.pipeline import Inputs
 from trigpoint.fusion.reading.sight import Eye
 from trigpoint.fusion.solver.filter import Filter, RobotEstimate
 from trigpoint.fusion.solver.gaussian import Gaussian
@@ -45,10 +44,6 @@ class Corrector(Struct, frozen=True, eq=False):
     data: DataSet
     network: KnownNetwork
     robot: str
-
-    @classmethod
-    def of(cls, inputs: Inputs, network: KnownNetwork, robot: str) -> "Corrector":
-        return cls(inputs.data_set(), network, robot)
 
     @property
     def target(self) -> Target:

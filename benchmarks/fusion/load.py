@@ -40,6 +40,8 @@ from trigpoint.fusion.live.memory import return_large_arrays
 from trigpoint.fusion.live.solver_process import SolverProcess
 from trigpoint.fusion.map_storage import MapStorage
 from trigpoint.fusion.pipeline import Pipeline
+from trigpoint.map.network import PoseRecord
+from trigpoint.tools.networks.truth import TruthFile, network_error
 from trigpoint.tools.simulation.session import EPOCH_NS
 
 from .corridor import Corridor
@@ -265,16 +267,11 @@ class Drive:
 
     def _errors(self) -> tuple[float, float]:
         """The located cameras' error of position, mm, and its squares by covariance and number."""
-        found, cameras = [(np.nan, np.nan)], self.pipeline.results().network.cameras
-        for index in range(self._corridor.cameras):
-            camera = cameras[f"c{index}"]
-            if camera.map_from_camera is not None:
-                truth = self._corridor.camera(index).translation
-                error = camera.map_from_camera.pose.translation - truth
-                spread = camera.covariance_matrix[:3, :3]
-                by_covariance = float(error @ np.linalg.solve(spread, error)) / 3
-                found.append((float(error @ error), by_covariance))
-        squared, by_covariance = np.mean(found[1:] or found, axis=0).tolist()
+        results, own = self.pipeline.results(), self._corridor
+        places = {f"c{n}": PoseRecord.of(own.camera(n)) for n in range(own.cameras)}
+        found = network_error(results.network, results.covariance, TruthFile(places)).cameras
+        squares = [(one.position**2, one.sigmas**2 / 3) for one in found.values()]
+        squared, by_covariance = np.mean(squares or [(np.nan, np.nan)], axis=0).tolist()
         return 1e3 * squared**0.5, by_covariance
 
 

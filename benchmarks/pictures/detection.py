@@ -24,7 +24,6 @@ from .opencv_finders import (
     charuco_shared,
     checkerboards,
     checkerboards_by_sectors,
-    checkerboards_in_even_light,
 )
 from .scoring import Found, score_of, score_rows, sigma_row
 from .views import Gallery, View, gallery
@@ -81,7 +80,7 @@ def opencv_finders(target: Target, choice: str) -> dict[str, Finder]:
         }
     return {
         "findChessboardCorners": checkerboards(faces),
-        "findChessboardCorners, flags=0": checkerboards_in_even_light(faces),
+        "findChessboardCorners, flags=0": checkerboards(faces, 0),
         "findChessboardCornersSB, exhaustive": checkerboards_by_sectors(faces),
     }
 

@@ -13,13 +13,14 @@ import cv2
 import numpy as np
 import typer
 
+from benchmarks.compositions.carried import face_of
 from benchmarks.table import Row
 from benchmarks.timing import worked
 from trigpoint.edge.detector import detector_for
-from trigpoint.site.target import NOWHERE, Face, Pattern, Target
+from trigpoint.site.target import Pattern, Target
 
-from .empty import APRILGRID, empty_pictures
-from .real_sets import photographs
+from .empty import empty_pictures
+from .real_sets import KALIBR_GRID, photographs
 from .views import gallery
 
 # Small ones are found by chance most easily.
@@ -72,10 +73,10 @@ def main(
 ) -> list[Row]:
     """Look for boards in drawn pictures and photographs that show none."""
     lab = {name: gallery(name).target for name in ("checkerboard", "charuco")}
-    lab["aprilgrid"] = Target("sheet", (APRILGRID,))
+    lab["aprilgrid"] = Target("sheet", (KALIBR_GRID(0.0715, 0.055),))
     boards = {
         f"checkerboard {columns} x {rows}": Target(
-            "sheet", (Face(0, Pattern.CHECKERBOARD, columns, rows, 0.03, *NOWHERE),)
+            "sheet", (face_of(Pattern.CHECKERBOARD, columns, rows, 0.03),)
         )
         for columns, rows in _SIZES
     }

@@ -13,7 +13,7 @@ from .scoring import Found
 
 Finder = Callable[[np.ndarray], list[Found]]
 
-_DEFAULTS = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
+DEFAULTS = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
 _STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.01)
 # cornerSubPix's half window, of a square's side in the picture: it must not reach the next corner.
 _WINDOW_SHARE = 0.4
@@ -54,35 +54,12 @@ def charuco_shared(faces: Sequence[Face]) -> Finder:
     return find
 
 
-def checkerboards(faces: Sequence[Face]) -> Finder:
-    """The classic finder with its default flags and cornerSubPix, until it finds no further face.
+def checkerboards(faces: Sequence[Face], flags: int = DEFAULTS) -> Finder:
+    """The classic finder and cornerSubPix, until it finds no further face; with flags=0 without
+    adaptive thresholds, for pictures whose light is even.
 
     With CALIB_CB_FAST_CHECK it took a third of the time here, but found one face in six.
     """
-    return _classic(faces, _DEFAULTS)
-
-
-def checkerboards_in_even_light(faces: Sequence[Face]) -> Finder:
-    """The same without adaptive thresholds, for pictures whose light is even, as these are."""
-    return _classic(faces, 0)
-
-
-def checkerboards_by_sectors(faces: Sequence[Face]) -> Finder:
-    """The sector finder at its most thorough, once."""
-    size = (faces[0].columns - 1, faces[0].rows - 1)
-    flags = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
-
-    def find(picture: np.ndarray) -> list[Found]:
-        is_found, corners = cv2.findChessboardCornersSB(picture, size, flags=flags)
-        if not is_found:
-            return []
-        pixels = np.asarray(corners).reshape(-1, 2)
-        return [Found(-1, np.arange(len(pixels)), pixels)]
-
-    return find
-
-
-def _classic(faces: Sequence[Face], flags: int) -> Finder:
     size = (faces[0].columns - 1, faces[0].rows - 1)
 
     def find(picture: np.ndarray) -> list[Found]:
@@ -96,6 +73,21 @@ def _classic(faces: Sequence[Face], flags: int) -> Finder:
             hull = cv2.convexHull(pixels.round().astype(np.int32))
             cv2.fillConvexPoly(left, hull, float(picture.mean()))
         return found
+
+    return find
+
+
+def checkerboards_by_sectors(faces: Sequence[Face]) -> Finder:
+    """The sector finder at its most thorough, once."""
+    size = (faces[0].columns - 1, faces[0].rows - 1)
+    flags = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
+
+    def find(picture: np.ndarray) -> list[Found]:
+        is_found, corners = cv2.findChessboardCornersSB(picture, size, flags=flags)
+        if not is_found:
+            return []
+        pixels = np.asarray(corners).reshape(-1, 2)
+        return [Found(-1, np.arange(len(pixels)), pixels)]
 
     return find
 

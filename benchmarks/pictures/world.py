@@ -11,11 +11,12 @@ import cv2
 import numpy as np
 from msgspec import Struct
 
+from benchmarks.compositions.carried import face_of
 from benchmarks.table import Row, share_of
 from trigpoint.geometry import CameraModel
 from trigpoint.geometry.camera import LensModel
 from trigpoint.geometry.rotation import Array
-from trigpoint.site.target import NOWHERE, Face, Pattern, Target
+from trigpoint.site.target import Face, Pattern, Target
 from trigpoint.tools.simulation.drawing.textures import texture
 from trigpoint.tools.simulation.sight.seen_corners import smallest_square
 
@@ -26,10 +27,8 @@ from .views import LEAST_SQUARE_PX, TrueFace, View
 
 _Random = np.random.Generator
 FACES = {
-    "checkerboard": Face(0, Pattern.CHECKERBOARD, 10, 7, 0.03, *NOWHERE),
-    "charuco": Face(
-        0, Pattern.CHARUCO, 7, 5, 0.04, *NOWHERE, marker=0.03, dictionary="DICT_4X4_50"
-    ),
+    "checkerboard": face_of(Pattern.CHECKERBOARD, 10, 7, 0.03),
+    "charuco": face_of(Pattern.CHARUCO, 7, 5, 0.04, 0.03, "DICT_4X4_50"),
 }
 _VIEWS = 24
 _row = partial(Row, "world")
