@@ -3,7 +3,6 @@
 from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from msgspec import Struct, structs
@@ -14,15 +13,7 @@ from trigpoint.fusion.model.known_cameras import KnownCameras
 from trigpoint.fusion.pipeline import Inputs, Pipeline
 from trigpoint.fusion.replaying import replayed
 from trigpoint.geometry import CameraModel
-from trigpoint.site.config import (
-    BusConfig,
-    CameraConfig,
-    FusionConfig,
-    PriorConfig,
-    RecorderConfig,
-    RobotConfig,
-    Site,
-)
+from trigpoint.site.config import Site, parse_site
 from trigpoint.tools.networks.cramer_rao import Bound
 from trigpoint.tools.simulation.world import World
 
@@ -103,26 +94,26 @@ def _stamp(item: tuple[str, Message]) -> tuple[int, bool]:
 
 
 def _site(world: World, situation: Situation, estimator: str) -> Site:
-    cameras = {}
-    for name, camera in world.cameras.items():
-        keys: dict[str, Any] = dict(situation.camera)
-        size = (camera.model.width, camera.model.height)
-        cameras[name] = CameraConfig(f"sim://{name}", *size, **keys)
-    # What is true of the simulated floor and mast is said.
-    flat = PriorConfig(floor_tilt=0.0, target_sway=0.0)
-    fusion: dict[str, Any] = {"estimator": estimator, "priors": flat, **situation.fusion}
-    robots = {n: RobotConfig("loop://", odometry=r.noise) for n, r in world.robots.items()}
-    return Site(
-        name="study",
-        cameras=cameras,
-        robots=robots,
-        bus=BusConfig(),
-        fusion=FusionConfig(**fusion),
-        recorder=RecorderConfig(),
-        directory=Path(),
-        text="",
-        default_target="target.toml",
-    )
+    def camera(name: str) -> dict[str, object]:
+        lens = world.cameras[name].model
+        size = {"width": lens.width, "height": lens.height}
+        return {"source": f"sim://{name}", **size, **situation.camera}
+
+    settings = {
+        "cameras": {name: camera(name) for name in world.cameras},
+        "robots": {
+            name: {"port": "loop://", "odometry": structs.asdict(robot.noise)}
+            for name, robot in world.robots.items()
+        },
+        "fusion": {
+            "estimator": estimator,
+            # What is true of the simulated floor and mast is said.
+            "priors": {"floor_tilt": 0.0, "target_sway": 0.0},
+            **situation.fusion,
+        },
+    }
+    text = 'site = "study"\ntarget = "target.toml"\n'
+    return parse_site(text, directory=Path(), settings=settings)
 
 
 def _told_lenses(world: World, site: Site, situation: Situation) -> dict[str, CameraModel]:
