@@ -20,7 +20,7 @@ from msgspec.structs import replace
 from benchmarks.study.oracle import known_to_oracle
 from benchmarks.study.session import simulated_session
 from benchmarks.table import Row, share_of
-from benchmarks.timing import worked
+from benchmarks.timing import best_of
 from trigpoint.fusion.model.motion import composed
 from trigpoint.fusion.model.problem import Batch, Chain, Problem, State
 from trigpoint.fusion.solver.levenberg_marquardt import solve
@@ -128,14 +128,18 @@ def run(effort: float = 1.0) -> list[Row]:
 
 
 def _rows(name: str, problem: Problem, start: State, rounds: int) -> list[Row]:
-    rows = []
-    seconds, ours = _best(partial(smoothed, problem, start), rounds)
-    for form, title in ((native, "GTSAM, relative poses"), (reprojection, "GTSAM, custom factors")):
-        others, other = _best(partial(solved_by, form, problem, start), rounds)
+    jobs = {
+        "ours": partial(smoothed, problem, start),
+        "GTSAM, relative poses": partial(solved_by, native, problem, start),
+        "GTSAM, custom factors": partial(solved_by, reprojection, problem, start),
+    }
+    rows = list[Row]()
+    (seconds, ours), *others = best_of(rounds, jobs).values()
+    for title, (others_s, other) in zip(list(jobs)[1:], others, strict=True):
         apart = difference(ours, other)
         what = f"{name}, solution with covariance"
         rows += [
-            Row("gtsam", what, "ms", 1e3 * seconds, 1e3 * others, title),
+            Row("gtsam", what, "ms", 1e3 * seconds, 1e3 * others_s, title),
             Row("gtsam", f"{name}, poses apart at most", "sigma", apart.poses, 0.0, title),
             Row("gtsam", f"{name}, sigmas apart at most", "%", 100 * apart.sigmas, 0.0, title),
         ]
@@ -189,12 +193,6 @@ def difference(ours: Solved, other: Solved) -> Difference:
     others = np.sqrt(np.diagonal(other.covariance))
     apart = other.map_from_camera.difference(ours.map_from_camera).reshape(-1)
     return Difference(float(np.abs(apart / sigma).max()), float(np.abs(others / sigma - 1).max()))
-
-
-def _best(job: Callable[[], Solved], rounds: int) -> tuple[float, Solved]:
-    """Seconds of work, the least of some rounds, and the result."""
-    turns = [worked(job) for _ in range(rounds)]
-    return min(turn[0] for turn in turns), turns[0][1]
 
 
 def _with_chains(problem: Problem, start: State) -> Graph:

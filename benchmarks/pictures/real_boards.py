@@ -23,13 +23,15 @@ from calib_targets import (  # pyright: ignore[reportMissingImports] - of the ex
 
 from benchmarks.table import Row
 from benchmarks.timing import in_new_process, worked
+from trigpoint.contract.messages import FaceSighting
+from trigpoint.edge.detector import detector_for
 from trigpoint.site.target import Face, Pattern, Target
 
-from .detection import OURS, Run, followed, our_finder, runs
+from .detection import OURS, Run, followed, runs
 from .empty import empty_pictures
-from .opencv_finders import Finder, charuco_shared, checkerboards, checkerboards_by_sectors
+from .opencv_finders import charuco_shared, checkerboards, checkerboards_by_sectors
 from .real_sets import SETS, PictureSet, backgrounds
-from .scoring import Found
+from .scoring import Finder, found_as
 from .views import View, gallery
 
 _row = partial(Row, "real_boards")
@@ -56,7 +58,7 @@ def _set_rows(pictured: PictureSet, data: Path) -> list[Row]:
     if not views:
         return []
     others = _others(face)
-    done = runs({OURS: our_finder(_target(face)), **others}, views)
+    done = runs({OURS: _ours(face), **others}, views)
     whole = {name: _found_whole(face, run) for name, run in done.items()}
     rows = [_time_row(f"{pictured.name}: first search", done, name) for name in others]
     what = f"{pictured.name}: found whole, of {len(views)}"
@@ -80,7 +82,7 @@ def _empty_rows() -> list[Row]:
         face = next(pictured.face for pictured in SETS if pictured.face.pattern is pattern)
         other, find = next(iter(_others(face).items()))
         for kind, pictures in kinds.items():
-            finders = {OURS: our_finder(_target(face)), other: find}
+            finders = {OURS: _ours(face), other: find}
             done = runs(finders, [View(picture, ()) for picture in pictures])
             rows.append(_time_row(f"no {pattern.value}, 640 x 480, {kind}", done, other))
     return rows
@@ -112,7 +114,7 @@ def _start_rows(data: Path) -> list[Row]:
 
 
 def _first_two(face: Face, picture: np.ndarray) -> tuple[float, float]:
-    find = our_finder(_target(face))
+    find = _ours(face)
     return worked(lambda: find(picture))[0], worked(lambda: find(picture))[0]
 
 
@@ -138,7 +140,7 @@ def _chessboard(face: Face) -> Finder:
     """The first one of calib-targets, which is not told how many squares there are."""
     params = ChessboardParams(max_components=1)
 
-    def find(picture: np.ndarray) -> list[Found]:
+    def find(picture: np.ndarray) -> list[FaceSighting]:
         board = detect_chessboard(picture, params=params)
         return _found(face, (corner.position for corner in board.corners) if board else ())
 
@@ -158,7 +160,7 @@ def _charuco(face: Face) -> Finder:
     )
     params = CharucoParams(board, scan=ScanDecodeConfig(marker_size_rel=share))
 
-    def find(picture: np.ndarray) -> list[Found]:
+    def find(picture: np.ndarray) -> list[FaceSighting]:
         try:
             seen = detect_charuco(picture, params=params)
         except RuntimeError:  # that is how it says that there is none
@@ -173,16 +175,16 @@ def _tags(face: Face) -> Finder:
     where nothing else is said."""
     detector = apriltag("tag36h11", decimate=2.0)
 
-    def find(picture: np.ndarray) -> list[Found]:
+    def find(picture: np.ndarray) -> list[FaceSighting]:
         tags = detector.detect(picture)
         return _found(face, (corner for tag in tags for corner in tag["lb-rb-rt-lt"]))
 
     return find
 
 
-def _found(face: Face, pixels: Iterable[object]) -> list[Found]:
+def _found(face: Face, pixels: Iterable[object]) -> list[FaceSighting]:
     seen = np.array(list(pixels), float).reshape(-1, 2)
-    return [Found(face.id, np.arange(len(seen)), seen)] if len(seen) else []
+    return [found_as(face.id, np.arange(len(seen)), seen)] if len(seen) else []
 
 
 def _found_whole(face: Face, run: Run) -> set[int]:
@@ -194,8 +196,8 @@ def _found_whole(face: Face, run: Run) -> set[int]:
     }
 
 
-def _target(face: Face) -> Target:
-    return Target("board", (face,))
+def _ours(face: Face) -> Finder:
+    return detector_for([Target("board", (face,))]).detect
 
 
 def _time_row(what: str, done: Mapping[str, Run], other: str) -> Row:

@@ -5,6 +5,7 @@ A photograph behind it, a wide lens or a fisheye, paper that curls, a reflection
 sharpening, JPEG. Each is a pure function of its kind and number.
 """
 
+from collections.abc import Sequence
 from functools import partial
 
 import cv2
@@ -13,6 +14,8 @@ from msgspec import Struct
 
 from benchmarks.compositions.carried import face_of
 from benchmarks.table import Row, share_of
+from trigpoint.contract.messages import FaceSighting
+from trigpoint.edge.detector import detector_for
 from trigpoint.geometry import CameraModel
 from trigpoint.geometry.camera import LensModel
 from trigpoint.geometry.rotation import Array
@@ -20,9 +23,9 @@ from trigpoint.site.target import Face, Pattern, Target
 from trigpoint.tools.simulation.drawing.textures import texture
 from trigpoint.tools.simulation.sight.seen_corners import smallest_square
 
-from .detection import OURS, opencv_finders, our_finder, runs
+from .detection import OURS, opencv_finders, runs
 from .real_sets import backgrounds
-from .scoring import Found, score_of, score_rows, sigma_row
+from .scoring import score_of, score_rows, sigma_row
 from .views import LEAST_SQUARE_PX, TrueFace, View
 
 _Random = np.random.Generator
@@ -75,7 +78,7 @@ def _rows(choice: str, kind: str, count: int) -> list[Row]:
     """Recall and accuracy beside each of OpenCV's ways; a sigma beside a true one."""
     views, target = world_views(choice, kind, count), target_of(choice)
     others = opencv_finders(target, choice)
-    done = runs({OURS: our_finder(target)} | others, views)
+    done = runs({OURS: detector_for([target]).detect} | others, views)
     scores = {name: score_of(views, run.answers) for name, run in done.items()}
     ours, what, rows = scores[OURS], f"{choice}, {kind}", []
     share = 100 * _corner_share(views, done[OURS].answers)
@@ -87,7 +90,7 @@ def _rows(choice: str, kind: str, count: int) -> list[Row]:
     return [*rows, sigma_row(_row, what, ours)]
 
 
-def _corner_share(views: list[View], answers: list[list[Found]]) -> float:
+def _corner_share(views: list[View], answers: Sequence[Sequence[FaceSighting]]) -> float:
     """Of all corners of the faces, how many are found."""
     all_of_them = sum(true.face.corner_count for view in views for true in view.faces)
     return sum(len(found.corners) for answer in answers for found in answer) / all_of_them
