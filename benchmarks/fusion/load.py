@@ -44,10 +44,10 @@ from trigpoint.map.network import PoseRecord
 from trigpoint.tools.networks.truth import TruthFile, network_error
 from trigpoint.tools.simulation.session import EPOCH_NS
 
-from .corridor import Corridor
+from .corridor import DAY_NS, Corridor
 from .restart import read_s
 
-_TURN_NS, _DAY_NS = to_ns(0.02), to_ns(24 * 3600.0)
+_TURN_NS = to_ns(0.02)
 _TELL_S = 30.0
 _POLL_S = 0.05
 _MEASURED_LAPS = 0.2
@@ -172,7 +172,7 @@ class Drive:
     def day(self, number: int) -> Day:
         """Another day."""
         self.span = self._begun()
-        self.go(turns(self._corridor, seed=number, later_ns=number * _DAY_NS))
+        self.go(turns(self._corridor, seed=number, later_ns=number * DAY_NS))
         self._end(self.span)
         with TemporaryDirectory() as other:
             copied = copytree(self._folder, Path(other) / "map")
@@ -299,8 +299,7 @@ def _daily_rows(name: str, days: list[Day]) -> list[Row]:
 def turns(corridor: Corridor, *, seed: int = 0, later_ns: int = 0) -> Iterator[tuple[int, Turn]]:
     """The session, `later_ns` after its own time, cut into turns: until when, and what came."""
     until_ns, turn = EPOCH_NS + later_ns + _TURN_NS, Turn()
-    for node, drawn in corridor.messages(seed=seed):
-        message = replace(drawn, stamp_ns=drawn.stamp_ns + later_ns) if later_ns else drawn
+    for node, message in corridor.messages(seed=seed, later_ns=later_ns):
         while message.stamp_ns >= until_ns:
             yield until_ns, turn
             until_ns, turn = until_ns + _TURN_NS, Turn()

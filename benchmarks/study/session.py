@@ -25,7 +25,7 @@ from .worlds import world_of
 
 # 0.1 mm and 0.1 mrad, as for a network that is read from a file.
 _FLOOR = 1e-8
-_PLAIN = Situation("a plain session", "drive")
+_PLAIN = Situation("a plain session")
 
 
 class StudySession(Struct, frozen=True, eq=False):
