@@ -28,6 +28,7 @@ import numpy as np
 import typer
 from msgspec import Struct, field, json
 from msgspec.structs import replace
+from support.builders import eventually
 
 from benchmarks.network.segments import PORT, Child, Segments, certify
 from benchmarks.table import Row
@@ -223,11 +224,9 @@ class Soak:
             self.record.samples += [sample for sample in found if sample is not None]
 
     def _wait_until_up(self) -> None:
-        until = time.monotonic() + _UP_S
-        while not all(self._last.get(key) for key in ("sightings", "odom", "robot_pose")):
-            if time.monotonic() > until:
-                raise RuntimeError(f"the site is not up in {_UP_S:.0f} s; see {self.folder}")
-            time.sleep(0.2)
+        keys = ("sightings", "odom", "robot_pose")
+        if not eventually(lambda: all(self._last.get(key) for key in keys), _UP_S):
+            raise RuntimeError(f"the site is not up in {_UP_S:.0f} s; see {self.folder}")
 
     def _break(self, fault: Fault) -> None:
         broken = Break(self.now_s, fault.kind, fault.key)

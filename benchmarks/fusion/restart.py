@@ -17,6 +17,7 @@ from tempfile import TemporaryDirectory
 from typing import Annotated
 
 import typer
+from support.builders import eventually
 
 from benchmarks.table import Row
 from benchmarks.timing import in_new_process
@@ -37,7 +38,7 @@ from trigpoint.tools.simulation.session import EPOCH_NS
 from .corridor import Corridor
 
 _CAMERAS = 30
-_POLL_S, _ANSWER_S, _PATIENCE_S = 0.01, 60.0, 900.0
+_ANSWER_S, _PATIENCE_S = 60.0, 900.0
 
 
 def main(
@@ -120,8 +121,5 @@ def _started(corridor: Corridor, folder: Path) -> tuple[float, float, float, flo
 
 
 def _wait(holds: Callable[[], bool]) -> None:
-    end_s = time.monotonic() + _PATIENCE_S
-    while not holds():
-        if time.monotonic() > end_s:
-            raise TimeoutError(f"fusion was not so far after {_PATIENCE_S:.0f} s")
-        time.sleep(_POLL_S)
+    if not eventually(holds, _PATIENCE_S):
+        raise TimeoutError(f"fusion was not so far after {_PATIENCE_S:.0f} s")
