@@ -12,7 +12,6 @@ from trigpoint.contract.messages import Message, Odometry, Sightings
 from trigpoint.fusion.model.known_cameras import KnownCameras
 from trigpoint.fusion.pipeline import Inputs, Pipeline
 from trigpoint.fusion.replaying import replayed
-from trigpoint.geometry import CameraModel
 from trigpoint.site.config import Site, parse_site
 from trigpoint.tools.networks.cramer_rao import Bound
 from trigpoint.tools.simulation.world import World
@@ -58,21 +57,21 @@ def simulated_session(name: str, seed: int, *, estimator: str = "smoother") -> S
         noise = structs.replace(item.noise, **situation.odometry)
         world.robots[robot] = replace(item, noise=noise)
     session = simulated(world, situation.disturbance)
-    site = _site(world, situation, estimator)
-    lenses = _told_lenses(world, site, situation)
-    targets = {robot: world.target(robot) for robot in world.robots}
-    inputs = Inputs(site, targets, lenses, _known(world, situation))
-    messages = session.messages
+    inputs, messages = inputs_of(world, situation, estimator), session.messages
     if situation.is_in_order:
         messages = sorted(messages, key=_stamp)
     return StudySession(name, seed, inputs, messages, session)
 
 
-def plain_inputs(world: World) -> Inputs:
-    """What an estimator is told of a world by a site file without anything to be estimated."""
-    site = _site(world, _PLAIN, "smoother")
+def inputs_of(world: World, situation: Situation = _PLAIN, estimator: str = "smoother") -> Inputs:
+    """What an estimator is told of a world, in a plain situation by a site file without anything to
+    be estimated."""
+    site = _site(world, situation, estimator)
+    lenses = {name: camera.model for name, camera in world.cameras.items()}
+    if situation.is_lens_nominal:
+        lenses = {name: camera.nominal() for name, camera in site.cameras.items()}
     targets = {robot: world.target(robot) for robot in world.robots}
-    return Inputs(site, targets, _told_lenses(world, site, _PLAIN))
+    return Inputs(site, targets, lenses, _known(world, situation))
 
 
 def worked_out(session: StudySession) -> Pipeline:
@@ -114,12 +113,6 @@ def _site(world: World, situation: Situation, estimator: str) -> Site:
     }
     text = 'site = "study"\ntarget = "target.toml"\n'
     return parse_site(text, directory=Path(), settings=settings)
-
-
-def _told_lenses(world: World, site: Site, situation: Situation) -> dict[str, CameraModel]:
-    if situation.is_lens_nominal:
-        return {name: camera.nominal() for name, camera in site.cameras.items()}
-    return {name: camera.model for name, camera in world.cameras.items()}
 
 
 def _known(world: World, situation: Situation) -> KnownCameras:
