@@ -97,7 +97,7 @@ BENCHMARKS: dict[str, Benchmark] = {
         "are robots corrected as well as the map of that says?", "fusion.accuracy_map:main"
     ),
     "arm": Benchmark("does the wheel for aarch64 find the same there, under qemu?", "arm:main"),
-    "fuzz": Benchmark("does any input harm the compiled core?", "fuzz.command:main"),
+    "fuzz": Benchmark("does any input harm the compiled core?", "fuzz.runner:main"),
 }
 
 

@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import TypeVar
@@ -13,6 +14,7 @@ from typing import TypeVar
 from trigpoint.base.clock import SystemClock
 
 ROUNDS = 7
+_Name = TypeVar("_Name")
 _Result = TypeVar("_Result")
 
 
@@ -86,22 +88,28 @@ def family(process: int) -> list[int]:
     return [process, *(each for child in begun for each in family(int(child)))]
 
 
-def side_by_side(
-    ours: Callable[[], object], other: Callable[[], object], *, times: int, rounds: int = ROUNDS
-) -> tuple[float, float]:
-    """Seconds of work a call of both: the best of `rounds` turns, each of `times` calls.
+def best_of(
+    rounds: int, jobs: Mapping[_Name, Callable[[], _Result]]
+) -> dict[_Name, tuple[float, _Result]]:
+    """Of each job the least seconds of work over some rounds, in which all take turns, and its
+    first result.
 
     The best, since whatever else the machine does can only add to a duration.
     """
-    for job in (ours, other):  # the first call of a kind also builds what is kept
-        job()
-    turns = [(_average(ours, times), _average(other, times)) for _ in range(rounds)]
-    return min(turn[0] for turn in turns), min(turn[1] for turn in turns)
+    turns = [{name: worked(job) for name, job in jobs.items()} for _ in range(rounds)]
+    return {name: (min(turn[name][0] for turn in turns), turns[0][name][1]) for name in jobs}
 
 
-def _average(job: Callable[[], object], times: int) -> float:
-    def repeat() -> None:
+def side_by_side(
+    ours: Callable[[], object], other: Callable[[], object], *, times: int
+) -> tuple[float, float]:
+    """Seconds of work a call of both, the best of some turns, each of so many calls."""
+
+    def repeat(job: Callable[[], object], times: int) -> None:
         for _ in range(times):
             job()
 
-    return worked(repeat)[0] / times
+    for job in (ours, other):  # the first call of a kind also builds what is kept
+        job()
+    best = best_of(ROUNDS, {job: partial(repeat, job, times) for job in (ours, other)})
+    return best[ours][0] / times, best[other][0] / times

@@ -1,6 +1,7 @@
 """The targets that robots carry in drawn sessions: patterns of every kind, on three shapes."""
 
 from functools import cache, partial
+from typing import Any
 
 import numpy as np
 from msgspec import structs
@@ -8,29 +9,31 @@ from msgspec import structs
 from trigpoint.site.target import NOWHERE, Face, Pattern, Target
 from trigpoint.tools.shapes.bodies import (
     HALF_THICKNESS,
-    INNER_EDGE,
-    VANE_AZIMUTHS_DEG,
     VANE_HEIGHT,
+    Side,
+    box_faces,
     print_size,
-    upright,
+    vane_faces,
 )
 
 _BOX_MARGIN_M = 0.02
 
 
-def _face(
+def face_of(
     pattern: Pattern,
     columns: int,
     rows: int,
     square: float,
     marker: float | None = None,
     dictionary: str | None = None,
+    **more: Any,
 ) -> Face:
-    """Such a face, wherever it is."""
-    return Face(0, pattern, columns, rows, square, *NOWHERE, marker=marker, dictionary=dictionary)
+    """Such a face, wherever it is; `more`: other fields."""
+    markers = {"marker": marker, "dictionary": dictionary}
+    return Face(0, pattern, columns, rows, square, *NOWHERE, **markers, **more)
 
 
-_checkerboard = partial(_face, Pattern.CHECKERBOARD)
+_checkerboard = partial(face_of, Pattern.CHECKERBOARD)
 
 # Of each pattern: what each of a target's faces has printed on it (the last one for all further),
 # for the first, second and third robot where they carry different ones. Checkerboards whose
@@ -58,45 +61,38 @@ _PRINTS: dict[str, tuple[tuple[Face, ...], ...]] = {
             for size in ((10, 7), (10, 6), (10, 8), (9, 5), (9, 8), (10, 5))
         ),
     ),
-    "charuco": ((_face(Pattern.CHARUCO, 9, 7, 0.0285, 0.021, "DICT_5X5_1000"),),) * 3,
-    "charuco_large": ((_face(Pattern.CHARUCO, 5, 4, 0.06, 0.045, "DICT_4X4_250"),),) * 3,
-    "aprilgrid": ((_face(Pattern.APRILGRID, 3, 2, 0.1, 0.078, "DICT_APRILTAG_36h11"),),) * 3,
+    "charuco": ((face_of(Pattern.CHARUCO, 9, 7, 0.0285, 0.021, "DICT_5X5_1000"),),) * 3,
+    "charuco_large": ((face_of(Pattern.CHARUCO, 5, 4, 0.06, 0.045, "DICT_4X4_250"),),) * 3,
+    "aprilgrid": ((face_of(Pattern.APRILGRID, 3, 2, 0.1, 0.078, "DICT_APRILTAG_36h11"),),) * 3,
 }
 
 
 @cache
 def target_of(pattern: str, shape: str, *, variant: int = 0, name: str = "three-plane") -> Target:
     """A target; `variant` (0 to 2): another one of the same kind, which pictures tell apart."""
-    places = _SHAPES[shape]
-    prints = _PRINTS[pattern][variant]
-    marker, faces = variant * len(places) * prints[0].marker_count, []
-    for number, (azimuth_deg, facing_deg, is_beside) in enumerate(places):
+    hung, prints, faces = _SHAPES[shape], _PRINTS[pattern][variant], list[Face]()
+    count = len(hung(prints[0]))
+    for number in range(count):
         plain = prints[min(number, len(prints) - 1)]
-        half_m = print_size(plain)[0] / 2
-        away = INNER_EDGE + half_m if is_beside else half_m + _BOX_MARGIN_M
-        middle = away * _level(azimuth_deg) + HALF_THICKNESS * _level(facing_deg)
-        middle[2] = VANE_HEIGHT
-        face = structs.replace(plain, id=number, first_marker=marker)
-        faces.append(upright(face, azimuth_rad=np.radians(facing_deg), middle=middle))
-        marker += plain.marker_count
+        first = variant * count * plain.marker_count
+        faces.append(hung(structs.replace(plain, first_marker=first))[number])
     return Target(name, tuple(faces))
 
 
-def _vanes(azimuths_deg: tuple[float, ...]) -> list[tuple[float, float, bool]]:
-    return [(a, a + side * 90.0, True) for a in azimuths_deg for side in (1, -1)]
+def _star(plain: Face) -> tuple[Face, ...]:
+    return vane_faces(plain, height=VANE_HEIGHT)
 
 
-# (azimuth of the face's middle, where it faces to, whether it lies beside the axis as a vane)
-_SHAPES: dict[str, list[tuple[float, float, bool]]] = {
-    "star": _vanes(VANE_AZIMUTHS_DEG),
-    "box": [(azimuth, azimuth, False) for azimuth in (0.0, 90.0, 180.0, 270.0)],
-    "sheet": _vanes((90.0,)),
-}
+def _box(plain: Face) -> tuple[Face, ...]:
+    side = print_size(plain)[0] + 2 * (_BOX_MARGIN_M + HALF_THICKNESS)
+    return box_faces(plain, list(Side), length=side, width=side, height=VANE_HEIGHT)
 
 
-def _level(azimuth_deg: float) -> np.ndarray:
-    azimuth = np.radians(azimuth_deg)
-    return np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+def _sheet(plain: Face) -> tuple[Face, ...]:
+    return _star(plain)[:2]
+
+
+_SHAPES = {"star": _star, "box": _box, "sheet": _sheet}
 
 
 def mounted(target: Target, metres: float, radians: float, random: np.random.Generator) -> Target:

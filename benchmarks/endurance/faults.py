@@ -15,8 +15,6 @@ from benchmarks.network.impairment import Impairment
 from benchmarks.network.segments import Segments
 from trigpoint.tools.parts.supervisor import Part
 
-from .clock import SettableClock
-
 FAIR = Impairment(delay_s=0.002, bits_per_s=100e6)
 _BAD = Impairment(delay_s=0.05, loss=0.05, bits_per_s=20e6)
 _BREAK_S, _STOP_S = 3.0, 10.0
@@ -24,8 +22,31 @@ _BAD_S = 8.0
 _FLAPS = 3
 # Below the ten seconds after which a clock that was set is believed.
 _CLOCK_S = 5.0
+_CLOCK_SOURCE = Path(__file__).with_name("set_clock.c")
 RECORDING = "recording"
 """The key by which one sees that the recording grows; it is none of the bus."""
+
+
+class SettableClock:
+    """A Unix clock that can be set for one program, by a preloaded library: whoever runs behind its
+    words `preloaded` has this machine's time, and what `set_by` adds."""
+
+    def __init__(self, folder: Path) -> None:
+        self._offset, self._library = folder / "clock_offset", folder / "set_clock.so"
+        self.set_by(0.0)
+        compiler = shutil.which("cc") or "gcc"
+        words = [compiler, "-shared", "-fPIC", "-O2", "-Wall", "-o", str(self._library)]
+        subprocess.run([*words, str(_CLOCK_SOURCE), "-ldl"], check=True, timeout=60)
+
+    def set_by(self, seconds: float) -> None:
+        """Set it; 0 is right again. The file stays the same, for it is mapped."""
+        with self._offset.open("r+b" if self._offset.exists() else "wb") as file:
+            file.write(round(seconds * 1e9).to_bytes(8, "little", signed=True))
+
+    @property
+    def preloaded(self) -> tuple[str, ...]:
+        """Before a command."""
+        return ("env", f"LD_PRELOAD={self._library}", f"SOAK_CLOCK={self._offset}")
 
 
 class Fault(Struct, frozen=True):

@@ -17,14 +17,18 @@ import subprocess
 import threading
 import time
 import traceback
+from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 from msgspec import Struct, field, json
 from msgspec.structs import replace
+from support.builders import eventually
 
 from benchmarks.network.segments import PORT, Child, Segments, certify
 from benchmarks.table import Row
@@ -37,9 +41,7 @@ from trigpoint.tools.parts.supervisor import Part, PartSpec, Supervisor
 from trigpoint.tools.simulation.site_files import robot_port, write_site
 from trigpoint.tools.simulation.world import World, load_world
 
-from .clock import SettableClock
-from .faults import FAIR, RECORDING, Fault, Faults
-from .report import rows_of
+from .faults import FAIR, RECORDING, Fault, Faults, SettableClock
 
 _SAMPLE_S = 2.0
 _UP_S = 40.0
@@ -47,6 +49,14 @@ _LEAST_DISK_MB, _DISK_MB_A_MINUTE = 256, 12
 _BACK_MOST_S = 60.0
 _CAMERAS = ("c1", "c2")
 _ENDING_SHARE = 1 / 3
+_SETTLED_S = 600.0
+"""Memory is held against what it was after ten minutes of a life, or a third of a shorter one."""
+_MEASURES = (
+    ("memory", "MB", "resident_mb"),
+    ("files", "files", "files"),
+    ("threads", "threads", "threads"),
+)
+_row = partial(Row, "soak")
 
 
 class Sample(Struct):
@@ -214,11 +224,9 @@ class Soak:
             self.record.samples += [sample for sample in found if sample is not None]
 
     def _wait_until_up(self) -> None:
-        until = time.monotonic() + _UP_S
-        while not all(self._last.get(key) for key in ("sightings", "odom", "robot_pose")):
-            if time.monotonic() > until:
-                raise RuntimeError(f"the site is not up in {_UP_S:.0f} s; see {self.folder}")
-            time.sleep(0.2)
+        keys = ("sightings", "odom", "robot_pose")
+        if not eventually(lambda: all(self._last.get(key) for key in keys), _UP_S):
+            raise RuntimeError(f"the site is not up in {_UP_S:.0f} s; see {self.folder}")
 
     def _break(self, fault: Fault) -> None:
         broken = Break(self.now_s, fault.kind, fault.key)
@@ -238,6 +246,67 @@ class Soak:
     def _recorded(self) -> int:
         """Bytes of all recordings so far."""
         return sum(path.stat().st_size for path in self._disk.glob("**/*.mcap*"))
+
+
+def rows_of(record: Record) -> Iterator[Row]:
+    """All of it."""
+    maps = set(record.heard[-1]["maps"]) if record.heard else set()
+    yield _row("maps of fusion from begin to end", "maps", len(maps), 1.0, "one is right")
+    yield from _programs(record)
+    yield from _mended(record)
+    yield from _latencies(record)
+    yield from _losses(record)
+
+
+def _programs(record: Record) -> Iterator[Row]:
+    """Of each program's longest life."""
+    lives: dict[str, dict[int, list[Sample]]] = defaultdict(lambda: defaultdict(list))
+    for sample in record.samples:
+        lives[sample.program][sample.process].append(sample)
+    for program, each in lives.items():
+        life = max(each.values(), key=lambda samples: samples[-1].t_s - samples[0].t_s)
+        begin_s, end_s = life[0].t_s, life[-1].t_s
+        settled_s, span_s = min(_SETTLED_S, (end_s - begin_s) / 3), (end_s - begin_s) / 10
+        from_s = begin_s + settled_s
+        early = [one for one in life if from_s <= one.t_s <= from_s + span_s]
+        late = [one for one in life if one.t_s >= end_s - span_s]
+        what, against = f"{program}, {(end_s - begin_s) / 60:.0f} minutes", "settled"
+        for name, unit, measure in _MEASURES:
+            settled, last = (
+                np.median([getattr(s, measure) for s in part]) for part in (early, late)
+            )
+            yield _row(f"{what}: {name} at the end", unit, float(last), float(settled), against)
+
+
+def _mended(record: Record) -> Iterator[Row]:
+    back_s: dict[tuple[str, str], list[float]] = defaultdict(list)
+    for one in record.breaks:
+        back_s[one.kind, one.key].append(one.back_s)
+    for (kind, key), found in back_s.items():
+        # One that never came back is not a number, and makes the longest none either.
+        longest, half = float(np.max(found)), float(np.nanmedian(found))
+        against = f"the median of {len(found)}"
+        yield _row(f"{kind}, mended: {key} back, longest", "s", longest, half, against)
+
+
+def _latencies(record: Record) -> Iterator[Row]:
+    heard: dict[str, list[float]] = defaultdict(list)
+    for row in record.heard:
+        for name, one in row["heard"].items():
+            heard[name] += one["latencies"]
+    for name, seconds in heard.items():
+        half_s, most_s = np.percentile(seconds, [50, 99]) if seconds else [np.nan] * 2
+        what = f"{name}, stamp to heard, 99 % of {len(seconds)}"
+        yield _row(what, "ms", 1e3 * float(most_s), 1e3 * float(half_s), "50 %")
+
+
+def _losses(record: Record) -> Iterator[Row]:
+    """By each node's life."""
+    for node, lost in sorted(record.heard[-1]["losses"].items()) if record.heard else ():
+        for name, count in lost.items():
+            if name != "level":
+                what = f"{node}: {name.removesuffix('.lost')}, counted as lost"
+                yield _row(what, "messages", count, 0.0, "none")
 
 
 def main(

@@ -7,11 +7,13 @@ standard input does.
 """
 
 import itertools
-import json
 import sys
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
+
+from msgspec import Struct, field, json
 
 from trigpoint.base.errors import MessageError
 from trigpoint.bus.bus import Bus, Subscription
@@ -23,71 +25,58 @@ from trigpoint.tools.site.status import statuses_in
 from trigpoint.zenoh import open_bus
 
 _PERIOD_S = 0.5
-_TAKE_S = 0.05
 _ASK_EVERY = 4
 _ANSWER_S = 0.5
 HEARD = (topics.SIGHTINGS, topics.ODOMETRY, topics.CORRECTION, topics.ROBOT_POSE)
 
 
-class Ear:
-    """Listens to one key's messages; read by another thread."""
+class Heard(Struct):
+    """Of one key."""
 
-    def __init__(self, topic: topics.Topic, subscription: Subscription) -> None:
-        self._topic, self._subscription = topic, subscription
-        self._lock = threading.Lock()
-        self._count, self._last_s, self._latencies = 0, 0.0, list[float]()
+    count: int = 0
+    last: float = 0.0
+    latencies: list[float] = field(default_factory=list)
 
-    def run(self, stopping: threading.Event) -> None:
-        while not stopping.is_set():
-            sample = self._subscription.take(_TAKE_S)
-            if sample is None:
-                continue
-            try:
-                message = decode(self._topic.type_name, sample.payload)
-            except MessageError:
-                continue  # of the flood
-            assert isinstance(message, Sightings | Odometry | PoseEstimate)
-            late_s = (sample.received_ns - message.stamp_ns) / 1e9
-            with self._lock:
-                self._count += 1
-                self._last_s = time.monotonic()
-                self._latencies.append(round(late_s, 4))
-
-    def told(self) -> dict[str, object]:
-        with self._lock:
-            late, self._latencies = self._latencies, []
-            return {"count": self._count, "last": self._last_s, "latencies": late}
+    def take(self, type_name: str, subscription: Subscription) -> None:
+        """Take in what came since the last call."""
+        self.latencies = []
+        while (sample := subscription.take(0.0)) is not None:
+            with suppress(MessageError):  # of the flood
+                message = decode(type_name, sample.payload)
+                assert isinstance(message, Sightings | Odometry | PoseEstimate)
+                self.count += 1
+                self.last = time.monotonic() - (time.time_ns() - sample.received_ns) / 1e9
+                self.latencies.append(round((sample.received_ns - message.stamp_ns) / 1e9, 4))
 
 
 def main() -> None:
     site = load_site(Path(sys.argv[1]))
-    stopping = threading.Event()
+    over = threading.Event()
+    until = threading.Thread(target=lambda: (sys.stdin.read(), over.set()))
+    until.start()
     with open_bus(site) as bus:
-        ears = {t.name: Ear(t, bus.subscribe(t, t.expression(site.name))) for t in HEARD}
+        ears = {topic: bus.subscribe(topic, topic.expression(site.name)) for topic in HEARD}
         diagnostics = bus.subscribe(topics.DIAGNOSTICS, topics.DIAGNOSTICS.key(site.name))
-        threads = [threading.Thread(target=ear.run, args=(stopping,)) for ear in ears.values()]
-        threads.append(threading.Thread(target=lambda: (sys.stdin.read(), stopping.set())))
-        for thread in threads:
-            thread.start()
+        heard = {topic.name: Heard() for topic in HEARD}
         losses: dict[str, dict[str, int]] = {}
         maps: list[str] = []
         for number in itertools.count():
-            if stopping.wait(_PERIOD_S):
+            if over.wait(_PERIOD_S):
                 break
             _hear(diagnostics, losses)
             if number % _ASK_EVERY == 0:
                 maps += [map_id for map_id in _maps(bus, site.name) if [map_id] != maps[-1:]]
-            row = {"t": time.monotonic(), "losses": losses, "maps": maps}
-            row["heard"] = {name: ear.told() for name, ear in ears.items()}
-            print(json.dumps(row), flush=True)
-        for thread in threads:
-            thread.join()
+            for topic, ear in ears.items():
+                heard[topic.name].take(topic.type_name, ear)
+            row = {"t": time.monotonic(), "losses": losses, "maps": maps, "heard": heard}
+            print(json.encode(row).decode(), flush=True)
+    until.join()
 
 
 def _maps(bus: Bus, site: str) -> list[str]:
     """What fusion says its map is; nothing while it does not answer."""
     replies = bus.query(topics.command_key(site, "fusion/map"), timeout_s=_ANSWER_S)
-    return [json.loads(reply.payload)["map_id"] for reply in replies if not reply.error]
+    return [json.decode(reply.payload)["map_id"] for reply in replies if not reply.error]
 
 
 def _hear(diagnostics: Subscription, losses: dict[str, dict[str, int]]) -> None:

@@ -22,7 +22,7 @@ from msgspec import Struct
 
 from benchmarks.study.disturbance import Disturbance
 from benchmarks.study.in_memory import simulated
-from benchmarks.study.session import fed, plain_inputs
+from benchmarks.study.session import fed, inputs_of
 from benchmarks.table import Row
 from trigpoint.fusion.coverage.correction_errors import Pictures, expected_errors
 from trigpoint.fusion.coverage.floor import HEADINGS, floor_of, headings_rad
@@ -86,7 +86,7 @@ def hall(seed: int, target: TargetChoice) -> World:
 
 def calibrated(world: World) -> tuple[Inputs, Results]:
     """A drive through the world, worked out as `calibrate` does."""
-    inputs = plain_inputs(world)
+    inputs = inputs_of(world)
     return inputs, fed(inputs, simulated(world, Disturbance()).messages).results()
 
 
@@ -128,7 +128,7 @@ def drawn(inputs: Inputs, results: Results, cells: int, seed: int, times: int = 
     network = known_network(results.network, results.covariance)
     [carried] = carried_by(inputs.site.robots, inputs.targets, results.network)
     places, headings = _drawn_places(network, carried, cells, random)
-    corrector = Corrector.of(inputs, network, carried.robots[0])
+    corrector = Corrector(inputs.data_set(), network, carried.robots[0])
     base = Pose.planar(places[:, 0], places[:, 1], headings_rad()[headings])
     stated, needs, cameras = (np.tile(e, times) for e in _stated(network, carried, base))
     realised = [_realised(network, carried, corrector, base, random) for _ in range(times)]

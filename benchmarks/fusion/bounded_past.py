@@ -17,11 +17,9 @@ from typing import Annotated
 
 import numpy as np
 import typer
-from msgspec.structs import replace
 from support.fusion.solvers import SlowSolver
 
 from benchmarks.table import Row
-from trigpoint.base.clock import to_ns
 from trigpoint.contract.messages import Odometry
 from trigpoint.fusion.estimators.smoother.settled_past import LIVE, Limits
 from trigpoint.fusion.inbox import Input
@@ -36,11 +34,10 @@ from trigpoint.geometry.rotation import Array
 from trigpoint.map.network import Network
 from trigpoint.tools.simulation.session import EPOCH_NS
 
-from .corridor import Corridor
+from .corridor import DAY_NS, Corridor
 
 _CAMERAS = 10
 _NEVER = Limits(10**9, 10**9, 10**9)
-_DAY_NS = to_ns(24 * 3600.0)
 
 
 def main(
@@ -75,9 +72,8 @@ def _rows(what: str, bounded: Array, whole: Array) -> Iterator[Row]:
 def _errors(corridor: Corridor, limits: Limits, sessions: int) -> Iterator[Array]:
     """The errors of each session (`_apart`)."""
     for seed in range(sessions):
-        pipeline = Pipeline(
-            corridor.inputs, is_live=False, solver=SlowSolver(corridor.inputs, limits=limits)
-        )
+        solver = SlowSolver(corridor.inputs, limits=limits)
+        pipeline = Pipeline(corridor.inputs, is_live=False, solver=solver)
         replayed(pipeline, corridor.messages(seed=seed))
         pipeline.finish()
         rows = _apart(corridor, *_found(pipeline.results().network))
@@ -115,9 +111,8 @@ def _days(corridor: Corridor, days: int) -> tuple[Array, Array]:
     pipeline = Pipeline(corridor.inputs, is_live=False, solver=solver)
     found = []
     for day in range(days):
-        later_ns = day * _DAY_NS
-        drawn = corridor.messages(seed=day)
-        messages = [(n, replace(one, stamp_ns=one.stamp_ns + later_ns)) for n, one in drawn]
+        later_ns = day * DAY_NS
+        messages = list(corridor.messages(seed=day, later_ns=later_ns))
         replayed(pipeline, messages)
         pipeline.finish()
         while not pipeline.reports.is_answered:

@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 from msgspec import Struct
 
+from trigpoint.base.clock import to_ns
 from trigpoint.contract.messages import CameraInfo, FaceSighting, Odometry, Sightings
 from trigpoint.fusion.inbox import Input
 from trigpoint.fusion.pipeline import Inputs
@@ -24,6 +25,7 @@ from trigpoint.tools.simulation.sight.seen_corners import seen_faces
 from trigpoint.tools.simulation.sight.targets import target_of
 
 SPEED = 0.4
+DAY_NS = to_ns(24 * 3600.0)
 ODOMETRY_HZ = 20.0
 PICTURES_HZ = 5.0
 _SPACING_M = 3.5
@@ -81,19 +83,20 @@ class Corridor(Struct, frozen=True):
         numbers = range(1, self.robots + 1)
         return {f"r{n}": msgspec.structs.replace(target, name=f"{target.name}{n}") for n in numbers}
 
-    def messages(self, *, seed: int = 0) -> Iterator[tuple[str, Input]]:
-        """(camera or robot, message) in the order of their stamps."""
+    def messages(self, *, seed: int = 0, later_ns: int = 0) -> Iterator[tuple[str, Input]]:
+        """(camera or robot, message) in the order of their stamps, from so long after the epoch
+        on."""
         random, targets = np.random.default_rng(seed), self.targets
         lens = CameraModel.from_field_of_view(640, 480, np.radians(62.0))
         places = [self.camera(index) for index in range(self.cameras)]
         for index in range(self.cameras):
             name = f"c{index}"
-            yield name, CameraInfo(EPOCH_NS, f"{name}/optical", lens)
+            yield name, CameraInfo(EPOCH_NS + later_ns, f"{name}/optical", lens)
         every = round(self.odometry_hz / self.pictures_hz)
         driven = round(self.duration_s * self.odometry_hz)
         told = {name: self._reported(driven, random) for name in targets}
         for step in range(driven + round(self.stands_s * self.odometry_hz)):
-            stamp_ns = EPOCH_NS + round(step * 1e9 / self.odometry_hz)
+            stamp_ns = EPOCH_NS + later_ns + round(step * 1e9 / self.odometry_hz)
             for name, poses in told.items():
                 pose, still = poses[min(step, driven - 1)], np.zeros(3)
                 yield name, Odometry(stamp_ns, f"{name}/odom", f"{name}/base", pose, still, still)

@@ -3,30 +3,16 @@ that, where the cameras stand a little otherwise than the network says."""
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from trigpoint.contract.messages import FaceSighting
 from trigpoint.fusion.coverage.known_network import KnownNetwork
 from trigpoint.fusion.estimators.robot_alignment import align_to
 from trigpoint.fusion.model.dataset import DataSet
-from trigpoint.fusion.model.observations import (
-    Observation,
-    View,
-    base_from_faces,
-    observation_of,
-    view_of,
-)
-from trigpoint.fusion.model.problem import (
-    CameraState,
-    Chain,
-    Priors,
-    RobotState,
-    State,
-    layout_of,
-)
-from trigpoint.fusion.pipeline import Inputs
+from trigpoint.fusion.model.observations import Observation, observation_of, view_of
+from trigpoint.fusion.model.problem import CameraState
 from trigpoint.fusion.reading.sight import Eye
 from trigpoint.fusion.solver.filter import Filter, RobotEstimate
-from trigpoint.fusion.solver.gaussian import Gaussian
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.uncertainty import planar_covariance
@@ -36,7 +22,6 @@ from trigpoint.tools.simulation.sight.seen_corners import seen_faces_each
 
 SMALLEST_SQUARE_PX = 7.0  # of a world file
 _ROUGHLY = np.array([0.1, 0.1, 0.05])  # what odometry knows beforehand, m and rad
-_NOTHING_M2 = 1e4
 
 
 class Corrector(Struct, frozen=True, eq=False):
@@ -45,10 +30,6 @@ class Corrector(Struct, frozen=True, eq=False):
     data: DataSet
     network: KnownNetwork
     robot: str
-
-    @classmethod
-    def of(cls, inputs: Inputs, network: KnownNetwork, robot: str) -> "Corrector":
-        return cls(inputs.data_set(), network, robot)
 
     @property
     def target(self) -> Target:
@@ -84,23 +65,15 @@ class Corrector(Struct, frozen=True, eq=False):
     def _observation(self, eye: Eye, faces: tuple[FaceSighting, ...]) -> Observation | None:
         config = self.data.site.cameras[eye.name]
         views = [view_of(self.target, face, config) for face in faces]
-        kept: tuple[View, ...] = tuple(view for view in views if view is not None)
+        kept = tuple(view for view in views if view is not None)
         return observation_of(eye.name, self.robot, EPOCH_NS, kept) if kept else None
 
     def _before(self, guess: Pose) -> Filter:
-        """The filter of a robot that may be anywhere."""
-        names = list(self.network.names)
+        """The filter of a robot that may be anywhere, which also tells of the cameras."""
         cameras = {e.name: CameraState(e.map_from_camera, e.lens) for e in self.network.eyes}
-        robot = RobotState(Pose.stack([guess]), np.zeros(2), base_from_faces(self.target))
-        state = State(cameras, {self.robot: robot})
-        track = self.data.tracks[self.robot]
-        chains = {self.robot: Chain.unlinked(self.robot, np.array([EPOCH_NS]), track)}
-        layout = layout_of(names, chains, Priors.none(), state)
-        covariance = _NOTHING_M2 * np.eye(layout.size)
-        size = len(self.network.covariance)
-        covariance[:size, :size] = self.network.covariance
-        known = Gaussian.of(np.zeros(layout.size), covariance)
-        return Filter(state, {self.robot: EPOCH_NS}, layout, known)
+        known, place = self.network.covariance, (EPOCH_NS, guess, np.zeros(2))
+        fixed = Filter.in_fixed_map(self.data, cameras, known, self.robot, *place)
+        return replace(fixed, holds_cameras=False)
 
 
 def sightings(

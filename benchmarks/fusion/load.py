@@ -40,12 +40,14 @@ from trigpoint.fusion.live.memory import return_large_arrays
 from trigpoint.fusion.live.solver_process import SolverProcess
 from trigpoint.fusion.map_storage import MapStorage
 from trigpoint.fusion.pipeline import Pipeline
+from trigpoint.map.network import PoseRecord
+from trigpoint.tools.networks.truth import TruthFile, network_error
 from trigpoint.tools.simulation.session import EPOCH_NS
 
-from .corridor import Corridor
+from .corridor import DAY_NS, Corridor
 from .restart import read_s
 
-_TURN_NS, _DAY_NS = to_ns(0.02), to_ns(24 * 3600.0)
+_TURN_NS = to_ns(0.02)
 _TELL_S = 30.0
 _POLL_S = 0.05
 _MEASURED_LAPS = 0.2
@@ -170,7 +172,7 @@ class Drive:
     def day(self, number: int) -> Day:
         """Another day."""
         self.span = self._begun()
-        self.go(turns(self._corridor, seed=number, later_ns=number * _DAY_NS))
+        self.go(turns(self._corridor, seed=number, later_ns=number * DAY_NS))
         self._end(self.span)
         with TemporaryDirectory() as other:
             copied = copytree(self._folder, Path(other) / "map")
@@ -265,16 +267,11 @@ class Drive:
 
     def _errors(self) -> tuple[float, float]:
         """The located cameras' error of position, mm, and its squares by covariance and number."""
-        found, cameras = [(np.nan, np.nan)], self.pipeline.results().network.cameras
-        for index in range(self._corridor.cameras):
-            camera = cameras[f"c{index}"]
-            if camera.map_from_camera is not None:
-                truth = self._corridor.camera(index).translation
-                error = camera.map_from_camera.pose.translation - truth
-                spread = camera.covariance_matrix[:3, :3]
-                by_covariance = float(error @ np.linalg.solve(spread, error)) / 3
-                found.append((float(error @ error), by_covariance))
-        squared, by_covariance = np.mean(found[1:] or found, axis=0).tolist()
+        results, own = self.pipeline.results(), self._corridor
+        places = {f"c{n}": PoseRecord.of(own.camera(n)) for n in range(own.cameras)}
+        found = network_error(results.network, results.covariance, TruthFile(places)).cameras
+        squares = [(one.position**2, one.sigmas**2 / 3) for one in found.values()]
+        squared, by_covariance = np.mean(squares or [(np.nan, np.nan)], axis=0).tolist()
         return 1e3 * squared**0.5, by_covariance
 
 
@@ -302,8 +299,7 @@ def _daily_rows(name: str, days: list[Day]) -> list[Row]:
 def turns(corridor: Corridor, *, seed: int = 0, later_ns: int = 0) -> Iterator[tuple[int, Turn]]:
     """The session, `later_ns` after its own time, cut into turns: until when, and what came."""
     until_ns, turn = EPOCH_NS + later_ns + _TURN_NS, Turn()
-    for node, drawn in corridor.messages(seed=seed):
-        message = replace(drawn, stamp_ns=drawn.stamp_ns + later_ns) if later_ns else drawn
+    for node, message in corridor.messages(seed=seed, later_ns=later_ns):
         while message.stamp_ns >= until_ns:
             yield until_ns, turn
             until_ns, turn = until_ns + _TURN_NS, Turn()

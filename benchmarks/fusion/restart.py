@@ -11,15 +11,18 @@ processor's too, of a process of its own.
 
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated
 
 import typer
+from support.builders import eventually
 
 from benchmarks.table import Row
 from benchmarks.timing import in_new_process
 from trigpoint.base.clock import ManualClock, SystemClock, to_seconds
+from trigpoint.bus.bus import Bus
 from trigpoint.contract import cdr
 from trigpoint.contract.topics import command_key
 from trigpoint.fusion.checkpoint import CHECKPOINT, full_files, read_checkpoint
@@ -35,7 +38,7 @@ from trigpoint.tools.simulation.session import EPOCH_NS
 from .corridor import Corridor
 
 _CAMERAS = 30
-_POLL_S, _ANSWER_S, _PATIENCE_S = 0.01, 60.0, 900.0
+_ANSWER_S, _PATIENCE_S = 60.0, 900.0
 
 
 def main(
@@ -52,9 +55,9 @@ def _rows(corridor: Corridor, folder: Path) -> Iterator[Row]:
     for what in ("without a solution", "with one"):
         work, read, corrects, solved = in_new_process(_started, corridor, folder)
         name = f"{count} messages, {what}"
-        yield Row("restart", f"{name}: work until read", "s", work, 5.0, "the goal")
-        yield Row("restart", f"{name}: read", "s", read, 5.0, "the goal")
-        yield Row("restart", f"{name}: cameras known again", "s", corrects, 5.0, "the goal")
+        goals = {"work until read": work, "read": read, "cameras known again": corrects}
+        for stage, seconds in goals.items():
+            yield Row("restart", f"{name}: {stage}", "s", seconds, 5.0, "the goal")
         yield Row("restart", f"{name}: solved", "s", solved, corrects, "known again")
 
 
@@ -73,54 +76,50 @@ def _stored(corridor: Corridor, folder: Path) -> int:
     return sum(1 for path in files for _ in read_checkpoint(path))
 
 
-def read_s(corridor: Corridor, folder: Path) -> float:
-    """The work of a node that is started on a checkpoint until it has read it, s; it solves
-    nothing, and leaves nothing but what it would write at a stop."""
+@contextmanager
+def _fusion(corridor: Corridor, folder: Path) -> Iterator[tuple[FusionNode, Node, Bus]]:
+    """A node on a checkpoint that may be started, and another session of its bus; it is stopped
+    and finished at the end."""
     inputs, broker = corridor.inputs, MemoryBroker()
     with (
         broker.session() as bus,
+        broker.session() as other,
         Node(bus, site=inputs.site.name, kind="fusion", name="fusion") as node,
     ):
         fusion = FusionNode(bus, node, inputs, folder, SystemClock(), solver=_solver)
-        began_s = time.process_time()
-        fusion.start()
-        _wait(lambda: fusion.is_resumed)
-        work_s = time.process_time() - began_s
+        yield fusion, node, other
     fusion.finish()
-    return work_s
-
-
-def _started(corridor: Corridor, folder: Path) -> tuple[float, float, float, float]:
-    """Start a node on a checkpoint and stop it once all is solved: work until it was read, s, and
-    after how long it was read, its cameras were known and its solver had answered, s."""
-    site, inputs = corridor.inputs.site.name, corridor.inputs
-    broker = MemoryBroker()
-    with (
-        broker.session() as bus,
-        broker.session() as other,
-        Node(bus, site=site, kind="fusion", name="fusion") as node,
-    ):
-        fusion = FusionNode(bus, node, inputs, folder, SystemClock(), solver=_solver)
-        began_s, worked_s = time.monotonic(), time.process_time()
-        fusion.start()
-        _wait(lambda: fusion.is_resumed)
-        work_s, read_s = time.process_time() - worked_s, time.monotonic() - began_s
-        _wait(lambda: node.health.report().values["cameras_located"] != "0")
-        corrects_s = time.monotonic() - began_s
-        asked = command_key(site, "fusion/network")
-        _wait(lambda: not any(reply.error for reply in other.query(asked, timeout_s=_ANSWER_S)))
-        solved_s = time.monotonic() - began_s
-    fusion.finish()
-    return work_s, read_s, corrects_s, solved_s
 
 
 def _solver(inputs: Inputs) -> SolverProcess:
     return SolverProcess(inputs.data_set())
 
 
+def read_s(corridor: Corridor, folder: Path) -> float:
+    """The work of a node that is started on a checkpoint until it has read it, s; it solves
+    nothing, and leaves nothing but what it would write at a stop."""
+    with _fusion(corridor, folder) as (fusion, _, _):
+        began_s = time.process_time()
+        fusion.start()
+        _wait(lambda: fusion.is_resumed)
+        return time.process_time() - began_s
+
+
+def _started(corridor: Corridor, folder: Path) -> tuple[float, float, float, float]:
+    """Start a node on a checkpoint and stop it once all is solved: work until it was read, s, and
+    after how long it was read, its cameras were known and its solver had answered, s."""
+    with _fusion(corridor, folder) as (fusion, node, other):
+        began_s, worked_s = time.monotonic(), time.process_time()
+        fusion.start()
+        _wait(lambda: fusion.is_resumed)
+        work_s, read_s = time.process_time() - worked_s, time.monotonic() - began_s
+        _wait(lambda: node.health.report().values["cameras_located"] != "0")
+        corrects_s = time.monotonic() - began_s
+        asked = command_key(corridor.inputs.site.name, "fusion/network")
+        _wait(lambda: not any(reply.error for reply in other.query(asked, timeout_s=_ANSWER_S)))
+        return work_s, read_s, corrects_s, time.monotonic() - began_s
+
+
 def _wait(holds: Callable[[], bool]) -> None:
-    end_s = time.monotonic() + _PATIENCE_S
-    while not holds():
-        if time.monotonic() > end_s:
-            raise TimeoutError(f"fusion was not so far after {_PATIENCE_S:.0f} s")
-        time.sleep(_POLL_S)
+    if not eventually(holds, _PATIENCE_S):
+        raise TimeoutError(f"fusion was not so far after {_PATIENCE_S:.0f} s")

@@ -7,14 +7,12 @@ nothing with it, says what of the server's work is the bus. `--hours 24`: a brow
 clock, too.
 """
 
-import json
 import multiprocessing
 import os
 import socket
 import subprocess
 import tempfile
 import time
-import urllib.request
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -26,6 +24,7 @@ import typer
 from support.builders import TARGET_TEXT, site_text
 from support.site.board_site import BoardSite, Truth
 from support.site.board_site import run as publish
+from support.site.visitor import Answer, Visitor
 
 from benchmarks.network import board_browser
 from benchmarks.network.board_beside import beside, opened, program
@@ -135,7 +134,8 @@ def _hear_bare(path: Path, over: Event) -> None:
 
 def _transfer(site: Path, address: str, pid: int, seconds: float) -> list[Row]:
     """On the wire, as a browser takes it; one page is open."""
-    start = sum(_size(f"{address}{name}") for name in _FILES)
+    visitor = Visitor(address)
+    start = sum(_size(visitor.ask(f"/{name}", Accept_Encoding="gzip")) for name in _FILES)
     with opened(address) as page:
         state = _taken(page, 0.5)
         with _beside(_hear_bare, site) as bare:
@@ -156,10 +156,8 @@ def _transfer(site: Path, address: str, pid: int, seconds: float) -> list[Row]:
     ]
 
 
-def _size(address: str) -> int:
-    request = urllib.request.Request(address, headers={"Accept-Encoding": "gzip"})
-    with urllib.request.urlopen(request, timeout=20) as answer:
-        return len(answer.read()) + len(str(answer.headers))
+def _size(answer: Answer) -> int:
+    return len(answer.body) + sum(len(f"{k}: {value}\n") for k, value in answer.headers.items())
 
 
 def _taken(page: socket.socket, seconds: float) -> int:
@@ -175,15 +173,12 @@ def _taken(page: socket.socket, seconds: float) -> int:
 
 def _to_the_page(address: str, seconds: float) -> list[Row]:
     """Message to the bytes that tell a page."""
-    late_ms: list[float] = []
-    end_s = time.monotonic() + seconds
-    with urllib.request.urlopen(f"{address}events", timeout=20) as events:
+    late_ms, end_s = list[float](), time.monotonic() + seconds
+    with Visitor(address).events() as messages:
         while time.monotonic() < end_s:
-            line = events.readline()
-            if line.startswith(b"data: "):
-                robot = json.loads(line[6:]).get("set", {}).get("robot/r1", {})
-                if "at" in robot:
-                    late_ms.append(1e3 * ((time.time() - robot["at"][0]) % _ROUND_M))
+            robot = next(messages).get("set", {}).get("robot/r1", {})
+            if "at" in robot:
+                late_ms.append(1e3 * ((time.time() - robot["at"][0]) % _ROUND_M))
     return lateness_rows("page", "message to page", late_ms, _GOAL_MS)
 
 

@@ -20,6 +20,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 from msgspec import Struct, field
+from support.builders import eventually
 
 from benchmarks.table import Row
 from benchmarks.timing import resident_mb
@@ -174,10 +175,7 @@ class _Page(threading.Thread):
 
     def has_come(self, times: int) -> bool:
         """Whether it has, before long."""
-        deadline = time.monotonic() + _BACK_S
-        while self._count < times and time.monotonic() < deadline:
-            time.sleep(0.1)
-        return self._count >= times
+        return eventually(lambda: self._count >= times, _BACK_S)
 
     def run(self) -> None:
         while not self.is_over.is_set():

@@ -16,6 +16,7 @@ from multiprocessing import get_context
 import numpy as np
 import zenoh
 from msgspec import Struct
+from support.builders import eventually
 
 from benchmarks.table import Row, share_of
 from trigpoint.bus.bus import Subscription
@@ -112,11 +113,8 @@ def _send(load: Load, ours_at: str, bare_at: str) -> None:
         session.declare_publisher(_BARE_KEY) as bare,
     ):
         ours = bus.publisher(load.topic, _OUR_KEY)
-        deadline = time.monotonic() + _PATIENCE_S
-        while not (ours.has_listener and _matches(bare)):
-            if time.monotonic() > deadline:
-                raise RuntimeError("nobody listens")
-            time.sleep(0.05)
+        if not eventually(lambda: ours.has_listener and _matches(bare), _PATIENCE_S):
+            raise RuntimeError("nobody listens")
         time.sleep(0.5)
         for _ in range(_WARM_UP + load.count):
             for put in (ours.put, bare.put):

@@ -28,7 +28,6 @@ from trigpoint.site.config import CameraConfig, parse_site
 from trigpoint.site.target import Target, load_target
 from trigpoint.testing.memory_bus import MemoryBroker
 
-from .detection import one_thread
 from .views import gallery
 
 CAMERAS, RATE_HZ, SHOWN = 8, 10.0, 10
@@ -109,12 +108,11 @@ def run(effort: float = 1.0) -> list[Row]:
     another room in every picture."""
     seconds = share_of(_SECONDS, effort)
     rows = list[Row]()
-    with one_thread():
-        for choice in ("charuco", "checkerboard"):
-            pictures = gallery(choice)
-            other = [view.picture for view in pictures.without_faces(_PICTURES)]
-            rows += _rows(choice, "still rooms", pictures.rooms(_PICTURES), seconds)
-            rows += _rows(choice, "other rooms in every picture", [other], seconds)
+    for choice in ("charuco", "checkerboard"):
+        pictures = gallery(choice)
+        other = [view.picture for view in pictures.without_faces(_PICTURES)]
+        rows += _rows(choice, "still rooms", pictures.rooms(_PICTURES), seconds)
+        rows += _rows(choice, "other rooms in every picture", [other], seconds)
     return rows
 
 
@@ -160,8 +158,7 @@ def main(
         shapes = [read_picture(file).shape[:2] for file in pictures_in(folder)]
         height, width = np.min(shapes, axis=0).tolist()
         frames = {"c1": _stills(folder, (width, height))}
-        with one_thread():
-            _, [node] = played(frames, load_target(target), (width, height))
+        _, [node] = played(frames, load_target(target), (width, height))
         pictures, faces = node.health.total("pictures"), node.health.total("faces")
         given_up, name = node.health.lost("given_up"), folder.name
         rows += [

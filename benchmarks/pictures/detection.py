@@ -3,16 +3,14 @@
 Milliseconds a picture, faces found, corners against the projected truth.
 """
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from functools import partial
 
-import cv2
 import numpy as np
 from msgspec import Struct, field
 
 from benchmarks.table import Row, share_of
-from benchmarks.timing import WorkClock, worked
+from benchmarks.timing import WorkClock, best_of, worked
 from trigpoint.contract.messages import FaceSighting
 from trigpoint.edge.detector import detector_for
 from trigpoint.edge.tracker import TargetTracker
@@ -21,14 +19,12 @@ from trigpoint.tools.simulation.sight.seen_corners import smallest_square
 
 from .nasty import nasty_pictures
 from .opencv_finders import (
-    Finder,
     charuco_each,
     charuco_shared,
     checkerboards,
     checkerboards_by_sectors,
-    checkerboards_in_even_light,
 )
-from .scoring import Found, score_of, score_rows, sigma_row
+from .scoring import Finder, score_of, score_rows, sigma_row
 from .views import Gallery, View, gallery
 
 OURS = "ours"
@@ -48,7 +44,7 @@ class Run(Struct):
     """What one finder did over some views: seconds for each picture, and what it found."""
 
     seconds: list[float] = field(default_factory=list)
-    answers: list[list[Found]] = field(default_factory=list)
+    answers: list[Sequence[FaceSighting]] = field(default_factory=list)
 
     @property
     def milliseconds(self) -> float:
@@ -59,19 +55,8 @@ class Run(Struct):
 def run(effort: float = 1.0) -> list[Row]:
     """Both kinds of target, at both sizes, driving: at rest all came out the same."""
     choices = ("charuco", "checkerboard")
-    with one_thread():
-        rows = [row for target in choices for size in _SIZES for row in _rows(target, size, effort)]
-        return rows + [_worst_row(target) for target in choices]
-
-
-def our_finder(target: Target) -> Finder:
-    """Our detector in the shape of OpenCV's finders."""
-    detector = detector_for([target])
-
-    def find(picture: np.ndarray) -> list[Found]:
-        return [_found(sighting) for sighting in detector.detect(picture)]
-
-    return find
+    rows = [row for target in choices for size in _SIZES for row in _rows(target, size, effort)]
+    return rows + [_worst_row(target) for target in choices]
 
 
 def opencv_finders(target: Target, choice: str) -> dict[str, Finder]:
@@ -84,7 +69,7 @@ def opencv_finders(target: Target, choice: str) -> dict[str, Finder]:
         }
     return {
         "findChessboardCorners": checkerboards(faces),
-        "findChessboardCorners, flags=0": checkerboards_in_even_light(faces),
+        "findChessboardCorners, flags=0": checkerboards(faces, 0),
         "findChessboardCornersSB, exhaustive": checkerboards_by_sectors(faces),
     }
 
@@ -93,32 +78,18 @@ def runs(finders: Mapping[str, Finder], views: list[View]) -> dict[str, Run]:
     """Each finder over the views; a picture's time is the best of some turns."""
     done = {name: Run() for name in finders}
     for view in views:
-        turns = [
-            {name: worked(lambda f=find, v=view: f(v.picture)) for name, find in finders.items()}
-            for _ in range(_ROUNDS)
-        ]
-        for name in finders:
-            done[name].seconds.append(min(turn[name][0] for turn in turns))
-            done[name].answers.append(turns[0][name][1])
+        best = best_of(_ROUNDS, {n: partial(find, view.picture) for n, find in finders.items()})
+        for name, (took, answer) in best.items():
+            done[name].seconds.append(took)
+            done[name].answers.append(answer)
     return done
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """OpenCV keeps to the calling thread."""
-    before = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    try:
-        yield
-    finally:
-        cv2.setNumThreads(before)
 
 
 def _rows(choice: str, size: str, effort: float) -> list[Row]:
     """Times beside each of OpenCV's ways; what was found and how well, near and far."""
     driving = gallery(choice, size=_SIZES[size])
     others = opencv_finders(driving.target, choice)
-    finders = {OURS: our_finder(driving.target)} | others
+    finders = {OURS: detector_for([driving.target]).detect} | others
     what = f"{choice} {size}"
     empty = driving.without_faces(share_of(_EMPTY, effort))
     rows = _time_rows(f"{what}, empty picture", runs(finders, empty), others)
@@ -160,14 +131,14 @@ def _tracked_rows(
 
 def followed(
     target: Target, sequence: list[tuple[int, View]]
-) -> list[tuple[View, float, list[Found]]]:
+) -> list[tuple[View, float, Sequence[FaceSighting]]]:
     """The views of a sequence in which faces were followed, each with its seconds and what a new
     tracker found; the same ones every time."""
     tracker, was_found, followed = TargetTracker([target]), 0, []
     for stamp_ns, view in sequence:
         took, found = worked(lambda v=view, s=stamp_ns: tracker.detect(v.picture, s))
         if was_found >= _SETTLED:
-            followed.append((view, took, [_found(sighting) for sighting in found]))
+            followed.append((view, took, found))
         was_found = was_found + 1 if found else 0
     return followed
 
@@ -199,7 +170,3 @@ def _spacing(view: View) -> float:
     """The shortest distance of neighbouring corners of the largest face, pixels."""
     whole = (smallest_square(true.face, true.pixels) for true in view.faces if true.is_whole)
     return max(whole, default=0.0)
-
-
-def _found(sighting: FaceSighting) -> Found:
-    return Found(sighting.face, sighting.corners, sighting.pixels, sighting.sigma)

@@ -7,21 +7,8 @@ from collections.abc import Callable, Iterator
 import cv2
 import numpy as np
 
-from trigpoint.site.target import NOWHERE, Face, Pattern
+from .nasty import HEIGHT, WIDTH, cloth
 
-WIDTH, HEIGHT = 640, 480
-# Kalibr's own: 6 x 6 tags.
-APRILGRID = Face(
-    0,
-    Pattern.APRILGRID,
-    6,
-    6,
-    0.0715,
-    *NOWHERE,
-    marker=0.055,
-    dictionary="DICT_APRILTAG_36h11",
-    border_bits=2,
-)
 _Random = np.random.Generator
 
 
@@ -106,9 +93,7 @@ def _clutter(random: _Random) -> np.ndarray:
 
 def _bits(random: _Random) -> np.ndarray:
     """Coarse noise: random cells, as on a woven cloth or a code."""
-    cell = int(random.integers(3, 20))
-    cells = random.integers(0, 2, (HEIGHT // cell + 1, WIDTH // cell + 1)).astype(np.uint8)
-    return 30 + 180 * np.kron(cells, np.ones((cell, cell)))[:HEIGHT, :WIDTH]
+    return cloth(int(random.integers(3, 20)), random)
 
 
 def _noise(random: _Random) -> np.ndarray:

@@ -13,14 +13,14 @@ import cv2
 import numpy as np
 import typer
 
+from benchmarks.compositions.carried import face_of
 from benchmarks.table import Row
 from benchmarks.timing import worked
 from trigpoint.edge.detector import detector_for
-from trigpoint.site.target import NOWHERE, Face, Pattern, Target
+from trigpoint.site.target import Pattern, Target
 
-from .detection import one_thread
-from .empty import APRILGRID, empty_pictures
-from .photographs import photographs
+from .empty import empty_pictures
+from .real_sets import KALIBR_GRID, photographs
 from .views import gallery
 
 # Small ones are found by chance most easily.
@@ -73,17 +73,16 @@ def main(
 ) -> list[Row]:
     """Look for boards in drawn pictures and photographs that show none."""
     lab = {name: gallery(name).target for name in ("checkerboard", "charuco")}
-    lab["aprilgrid"] = Target("sheet", (APRILGRID,))
+    lab["aprilgrid"] = Target("sheet", (KALIBR_GRID(0.0715, 0.055),))
     boards = {
         f"checkerboard {columns} x {rows}": Target(
-            "sheet", (Face(0, Pattern.CHECKERBOARD, columns, rows, 0.03, *NOWHERE),)
+            "sheet", (face_of(Pattern.CHECKERBOARD, columns, rows, 0.03),)
         )
         for columns, rows in _SIZES
     }
     drawn = enumerate(empty_pictures(count, first=first), first)
-    with one_thread():
-        found = sighted_rows("drawn", ((f"picture {n}", picture) for n, picture in drawn), lab)
-        if find_spec("skimage"):
-            return found + sighted_rows("photographs", scenes(), boards | lab)
+    found = sighted_rows("drawn", ((f"picture {n}", picture) for n, picture in drawn), lab)
+    if find_spec("skimage"):
+        return found + sighted_rows("photographs", scenes(), boards | lab)
     typer.echo("photographs: left out; pip install -c constraints.txt -e '.[bench]'", err=True)
     return found

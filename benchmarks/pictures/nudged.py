@@ -18,8 +18,7 @@ from benchmarks.table import Row
 from benchmarks.timing import worked
 from trigpoint.edge.background.watch import BackgroundWatch, View
 
-from .detection import one_thread
-from .photographs import photographs
+from .real_sets import photographs
 from .still_hours import StillHour
 from .still_scene import Stand, StillScene
 
@@ -132,11 +131,10 @@ def main(
     seconds: Annotated[int, typer.Option(help="Of each hour.")] = 3600,
 ) -> list[Row]:
     """Nudge cameras, and leave them alone."""
-    with one_thread():
-        worlds = rooms(pictures)
-        looks = [photographs()[name] for name in _LOOKS]
-        return [
-            *cost(worlds["coffee"]),
-            *nudges(worlds, looks, count),
-            *hours(worlds, looks, hour, seconds),
-        ]
+    worlds = rooms(pictures)
+    looks = [photographs()[name] for name in _LOOKS]
+    return [
+        *cost(worlds["coffee"]),
+        *nudges(worlds, looks, count),
+        *hours(worlds, looks, hour, seconds),
+    ]

@@ -1,6 +1,10 @@
-"""Sets of real pictures with a board each: others', which are not part of the project."""
+"""Real pictures: sets with a board each, which are others' and not part of the project; and the
+photographs that scikit-image ships (rooms, people, streets, stones, print), there with the extra
+`bench`."""
 
 from collections.abc import Iterator
+from functools import cache, partial
+from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
 
@@ -8,10 +12,11 @@ import cv2
 import numpy as np
 from msgspec import Struct
 
+from benchmarks.compositions.carried import face_of
 from trigpoint.edge.image.picture import as_grey
 from trigpoint.edge.sources.frames_video import Video
 from trigpoint.edge.sources.picture_files import listed_pictures, read_picture
-from trigpoint.site.target import NOWHERE, Face, Numbering, Pattern
+from trigpoint.site.target import Face, Numbering, Pattern
 
 
 class PictureSet(Struct, frozen=True):
@@ -46,44 +51,14 @@ def _all_in(folder: Path) -> Iterator[np.ndarray]:
         video.close()
 
 
-def _checkerboard(columns: int, rows: int) -> Face:
-    return Face(0, Pattern.CHECKERBOARD, columns, rows, 0.03, *NOWHERE)
-
-
-CHARUCO_ARM = Face(
-    0,
-    Pattern.CHARUCO,
-    5,
-    7,
-    0.036195,
-    *NOWHERE,
-    marker=0.018256,
-    dictionary="DICT_6X6_250",
-)
+_checkerboard = partial(face_of, Pattern.CHECKERBOARD, square=0.03)
+CHARUCO_ARM = face_of(Pattern.CHARUCO, 5, 7, 0.036195, 0.018256, "DICT_6X6_250")
 # The marker's share of a square, 0.75, is its authors'; with five rows, legacy makes no difference.
-CHARUCO_VIDEO = Face(
-    0,
-    Pattern.CHARUCO,
-    4,
-    5,
-    0.054,
-    *NOWHERE,
-    marker=0.0405,
-    dictionary="DICT_4X4_1000",
-    inverted=True,
+CHARUCO_VIDEO = face_of(Pattern.CHARUCO, 4, 5, 0.054, 0.0405, "DICT_4X4_1000", inverted=True)
+KALIBR_GRID = partial(
+    face_of, Pattern.APRILGRID, 6, 6, dictionary="DICT_APRILTAG_36h11", border_bits=2
 )
-APRILGRID = Face(
-    0,
-    Pattern.APRILGRID,
-    6,
-    6,
-    0.1144,
-    *NOWHERE,
-    marker=0.088,
-    dictionary="DICT_APRILTAG_36h11",
-    border_bits=2,
-    numbering=Numbering.KALIBR,
-)
+APRILGRID = KALIBR_GRID(0.1144, 0.088, numbering=Numbering.KALIBR)
 SETS = (
     PictureSet("udacity, 1280 x 720", "boards/udacity", _checkerboard(10, 7)),
     PictureSet("gopro, 1280 x 960", "boards/gopro", _checkerboard(9, 7), every=2),
@@ -94,3 +69,23 @@ SETS = (
     PictureSet("charuco-video, 1280 x 720", "charuco-video", CHARUCO_VIDEO, every=9),
     PictureSet("aprilgrid, 3072 x 4080", "boards/aprilgrid", APRILGRID),
 )
+# A board of eight by eight squares, and drawings.
+_BOARDS = ("chessboard_GRAY", "chessboard_RGB")
+_DRAWN = ("logo", "phantom", "horse", "color")
+
+
+@cache
+def photographs() -> dict[str, np.ndarray]:
+    """Grey pictures (h, w) uint8 by name; raises ModuleNotFoundError without the extra."""
+    spec = find_spec("skimage")
+    if spec is None or spec.origin is None:
+        raise ModuleNotFoundError("pip install -c constraints.txt -e '.[bench]'")
+    files = sorted((Path(spec.origin).parent / "data").glob("*.[pj][np]g"))
+    read = {file.stem: cv2.imread(str(file), cv2.IMREAD_GRAYSCALE) for file in files}
+    return {name: picture for name, picture in read.items() if picture is not None}
+
+
+def backgrounds() -> list[np.ndarray]:
+    """Those that may lie behind a board of ours."""
+    left_out = (*_BOARDS, *_DRAWN)
+    return [picture for name, picture in photographs().items() if name not in left_out]

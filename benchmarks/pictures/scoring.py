@@ -1,11 +1,12 @@
 """What a finder found, held against the truth."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 from msgspec import Struct, field
 
 from benchmarks.table import Row
+from trigpoint.contract.messages import FaceSighting
 
 from .views import TrueFace, View
 
@@ -13,14 +14,15 @@ from .views import TrueFace, View
 _NEAR_PX = 2.0
 
 
-class Found(Struct, frozen=True, eq=False):
-    """A face that a finder found: its id, or -1; `corners`: (n,) ids; `pixels`: (n, 2); `sigma`: of
-    a coordinate as the finder says, None where it says nothing."""
+Finder = Callable[[np.ndarray], Sequence[FaceSighting]]
+"""The faces in a picture; a detector's `detect` is one."""
+UNSAID = 0.0
+"""The sigma of who says none."""
 
-    face: int
-    corners: np.ndarray
-    pixels: np.ndarray
-    sigma: float | None = None
+
+def found_as(face: int, corners: np.ndarray, pixels: np.ndarray) -> FaceSighting:
+    """What a finder found that says no sigma, a face or -1."""
+    return FaceSighting("", face, corners, pixels, UNSAID)
 
 
 class Score(Struct):
@@ -51,7 +53,7 @@ class Score(Struct):
         return _rms(self.normalised)
 
 
-def score_of(views: list[View], answers: list[list[Found]]) -> Score:
+def score_of(views: list[View], answers: Sequence[Sequence[FaceSighting]]) -> Score:
     """The score over views of what was found in each."""
     score = Score()
     for number, (view, answer) in enumerate(zip(views, answers, strict=True)):
@@ -65,7 +67,7 @@ def score_of(views: list[View], answers: list[list[Found]]) -> Score:
             seen.add(true.face.id)
             keys = [(number, true.face.id, corner) for corner in corners.tolist()]
             score.errors.update(zip(keys, errors.tolist(), strict=True))
-            if found.sigma is not None:
+            if found.sigma != UNSAID:
                 score.normalised += (errors / found.sigma).tolist()
         score.whole += view.whole
         score.found += sum(true.is_whole and true.face.id in seen for true in view.faces)
@@ -97,7 +99,7 @@ def _rms(distances: list[float]) -> float:
 
 
 def _match(
-    found: Found, faces: tuple[TrueFace, ...]
+    found: FaceSighting, faces: tuple[TrueFace, ...]
 ) -> tuple[TrueFace, np.ndarray, np.ndarray] | None:
     """The true face, the corner ids in its order and the errors (n,); None where none is near."""
     readings = []

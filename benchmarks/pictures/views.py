@@ -1,7 +1,7 @@
 """Rendered pictures of the simulated lab with the true corners of the faces in them."""
 
 from collections.abc import Sequence
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 from msgspec import Struct
@@ -60,26 +60,23 @@ class Gallery:
 
     def with_faces(self, count: int) -> list[View]:
         """Views of whole faces, spread over the cameras and the drive."""
-        moments = [m for m in self._moments() if any(self._is_whole(s) for s in self._seen(*m))]
-        return self._views(moments, count)
+        return self._views(self._with_whole, count)
 
     def sequences(self, count: int, length: int) -> list[list[tuple[int, View]]]:
         """Runs of pictures of one camera, with their stamps, nanoseconds; each begins with a whole
         face."""
-        moments = [m for m in self._moments() if any(self._is_whole(s) for s in self._seen(*m))]
-        chosen = np.linspace(0, len(moments) - 1, count).round().astype(int)
-        return [self._sequence(*moments[i], length=length) for i in chosen]
+        chosen = np.linspace(0, len(self._with_whole) - 1, count).round().astype(int)
+        return [self._sequence(*self._with_whole[i], length=length) for i in chosen]
 
     def without_faces(self, count: int) -> list[View]:
         """Views of the rooms in which no face shows its front."""
-        return self._views([m for m in self._moments() if not self._seen(*m)], count)
+        return self._views(self._empty, count)
 
     def rooms(self, count: int) -> list[list[np.ndarray]]:
         """Pictures that each camera takes in a row, but for those in which a face shows its
         front."""
-        empty = [moment for moment in self._moments() if not self._seen(*moment)]
         return [
-            [self.render(*moment) for moment in [m for m in empty if m[0] == name][:count]]
+            [self.render(*moment) for moment in [m for m in self._empty if m[0] == name][:count]]
             for name in self.world.cameras
         ]
 
@@ -87,13 +84,23 @@ class Gallery:
         """One picture."""
         return self._renderers[camera].picture(index)
 
-    def _moments(self) -> list[tuple[str, int]]:
+    @cached_property
+    def _moments(self) -> dict[tuple[str, int], list[SeenFace]]:
+        """Every other picture, by camera and number, and what is seen in it."""
         duration_s = self.world.duration_s
-        return [
-            (name, index)
+        return {
+            (name, index): self._seen(name, index)
             for name, camera in self.world.cameras.items()
             for index in range(0, int(duration_s * camera.rate), 2)
-        ]
+        }
+
+    @cached_property
+    def _with_whole(self) -> list[tuple[str, int]]:
+        return [moment for moment, seen in self._moments.items() if any(map(_is_whole, seen))]
+
+    @cached_property
+    def _empty(self) -> list[tuple[str, int]]:
+        return [moment for moment, seen in self._moments.items() if not seen]
 
     def _views(self, moments: Sequence[tuple[str, int]], count: int) -> list[View]:
         chosen = np.linspace(0, len(moments) - 1, min(count, len(moments))).round().astype(int)
@@ -108,7 +115,7 @@ class Gallery:
         ]
 
     def _view(self, camera: str, index: int) -> View:
-        whole = {seen.face.id: self._is_whole(seen) for seen in self._seen(camera, index)}
+        whole = {seen.face.id: _is_whole(seen) for seen in self._seen(camera, index)}
         faces = [
             TrueFace(face, self._pixels(camera, index, face), whole.get(face.id, False))
             for face in self.target.faces
@@ -121,15 +128,16 @@ class Gallery:
         robot = self.world.first_robot
         return self.world.seen(camera, robot, float(self.world.camera(camera).time_of(index)))
 
-    def _is_whole(self, seen: SeenFace) -> bool:
-        is_large = seen.smallest_square_px >= LEAST_SQUARE_PX
-        return is_large and len(seen.corners) == seen.face.corner_count
-
     def _pixels(self, camera: str, index: int, face: Face) -> Array:
         eye = self.world.camera(camera)
         base = self.world.map_from_base(self.world.first_robot, float(eye.time_of(index)))
         camera_from_face = eye.map_from_camera.inverse() @ base @ face.base_from_face
         return eye.model.project(camera_from_face @ face.corners)
+
+
+def _is_whole(seen: SeenFace) -> bool:
+    is_large = seen.smallest_square_px >= LEAST_SQUARE_PX
+    return is_large and len(seen.corners) == seen.face.corner_count
 
 
 def _is_front(true: TrueFace) -> bool:

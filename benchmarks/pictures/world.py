@@ -5,31 +5,33 @@ A photograph behind it, a wide lens or a fisheye, paper that curls, a reflection
 sharpening, JPEG. Each is a pure function of its kind and number.
 """
 
+from collections.abc import Sequence
 from functools import partial
 
 import cv2
 import numpy as np
 from msgspec import Struct
 
+from benchmarks.compositions.carried import face_of
 from benchmarks.table import Row, share_of
+from trigpoint.contract.messages import FaceSighting
+from trigpoint.edge.detector import detector_for
 from trigpoint.geometry import CameraModel
 from trigpoint.geometry.camera import LensModel
 from trigpoint.geometry.rotation import Array
-from trigpoint.site.target import NOWHERE, Face, Pattern, Target
+from trigpoint.site.target import Face, Pattern, Target
 from trigpoint.tools.simulation.drawing.textures import texture
 from trigpoint.tools.simulation.sight.seen_corners import smallest_square
 
-from .detection import OURS, one_thread, opencv_finders, our_finder, runs
-from .photographs import backgrounds
-from .scoring import Found, score_of, score_rows, sigma_row
+from .detection import OURS, opencv_finders, runs
+from .real_sets import backgrounds
+from .scoring import score_of, score_rows, sigma_row
 from .views import LEAST_SQUARE_PX, TrueFace, View
 
 _Random = np.random.Generator
 FACES = {
-    "checkerboard": Face(0, Pattern.CHECKERBOARD, 10, 7, 0.03, *NOWHERE),
-    "charuco": Face(
-        0, Pattern.CHARUCO, 7, 5, 0.04, *NOWHERE, marker=0.03, dictionary="DICT_4X4_50"
-    ),
+    "checkerboard": face_of(Pattern.CHECKERBOARD, 10, 7, 0.03),
+    "charuco": face_of(Pattern.CHARUCO, 7, 5, 0.04, 0.03, "DICT_4X4_50"),
 }
 _VIEWS = 24
 _row = partial(Row, "world")
@@ -69,15 +71,14 @@ KINDS = {
 def run(effort: float = 1.0) -> list[Row]:
     """Both patterns, every kind of picture."""
     count = share_of(_VIEWS, effort, least=2)
-    with one_thread():
-        return [row for choice in FACES for kind in KINDS for row in _rows(choice, kind, count)]
+    return [row for choice in FACES for kind in KINDS for row in _rows(choice, kind, count)]
 
 
 def _rows(choice: str, kind: str, count: int) -> list[Row]:
     """Recall and accuracy beside each of OpenCV's ways; a sigma beside a true one."""
     views, target = world_views(choice, kind, count), target_of(choice)
     others = opencv_finders(target, choice)
-    done = runs({OURS: our_finder(target)} | others, views)
+    done = runs({OURS: detector_for([target]).detect} | others, views)
     scores = {name: score_of(views, run.answers) for name, run in done.items()}
     ours, what, rows = scores[OURS], f"{choice}, {kind}", []
     share = 100 * _corner_share(views, done[OURS].answers)
@@ -89,7 +90,7 @@ def _rows(choice: str, kind: str, count: int) -> list[Row]:
     return [*rows, sigma_row(_row, what, ours)]
 
 
-def _corner_share(views: list[View], answers: list[list[Found]]) -> float:
+def _corner_share(views: list[View], answers: Sequence[Sequence[FaceSighting]]) -> float:
     """Of all corners of the faces, how many are found."""
     all_of_them = sum(true.face.corner_count for view in views for true in view.faces)
     return sum(len(found.corners) for answer in answers for found in answer) / all_of_them

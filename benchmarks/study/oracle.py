@@ -7,7 +7,6 @@ from msgspec.structs import replace
 from trigpoint.base.clock import to_ns
 from trigpoint.contract.messages import Odometry
 from trigpoint.fusion.model.dataset import DataSet
-from trigpoint.fusion.model.known_cameras import KnownCameras
 from trigpoint.fusion.model.observations import (
     Observation,
     Reading,
@@ -56,19 +55,9 @@ def _data(inputs: Inputs, session: Simulated) -> DataSet:
             cameras[f"{name}@{k}"] = cameras[name]
             lenses[f"{name}@{k}"] = lenses[name]
     site = msgspec.structs.replace(site, cameras=cameras)
-    moved = {n for n in inputs.known.poses if session.world.cameras[n].moves}
-    return DataSet(site, inputs.targets, lenses, _kept(inputs.known, moved))
-
-
-def _kept(known: KnownCameras, moved: set[str]) -> KnownCameras:
-    """What is still true of a known network: not the cameras that hang elsewhere by now."""
-    if not moved:
-        return known
-    names = [name for name in known.poses if name not in moved]
-    covariance = np.linalg.inv(known.information)
-    rows = np.concatenate([6 * list(known.poses).index(name) + np.arange(6) for name in names])
-    information = np.linalg.inv(covariance[np.ix_(rows, rows)])
-    return KnownCameras({name: known.poses[name] for name in names}, information)
+    # Of a known network what is still true: not the cameras that hang elsewhere by now.
+    known = inputs.known.without(lambda _, name: bool(session.world.cameras[name].moves))
+    return DataSet(site, inputs.targets, lenses, known)
 
 
 def _cameras(session: Simulated) -> dict[str, CameraState]:

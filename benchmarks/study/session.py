@@ -3,7 +3,6 @@
 from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from msgspec import Struct, structs
@@ -13,16 +12,7 @@ from trigpoint.contract.messages import Message, Odometry, Sightings
 from trigpoint.fusion.model.known_cameras import KnownCameras
 from trigpoint.fusion.pipeline import Inputs, Pipeline
 from trigpoint.fusion.replaying import replayed
-from trigpoint.geometry import CameraModel
-from trigpoint.site.config import (
-    BusConfig,
-    CameraConfig,
-    FusionConfig,
-    PriorConfig,
-    RecorderConfig,
-    RobotConfig,
-    Site,
-)
+from trigpoint.site.config import Site, parse_site
 from trigpoint.tools.networks.cramer_rao import Bound
 from trigpoint.tools.simulation.world import World
 
@@ -34,7 +24,7 @@ from .worlds import world_of
 
 # 0.1 mm and 0.1 mrad, as for a network that is read from a file.
 _FLOOR = 1e-8
-_PLAIN = Situation("a plain session", "drive")
+_PLAIN = Situation("a plain session")
 
 
 class StudySession(Struct, frozen=True, eq=False):
@@ -67,21 +57,21 @@ def simulated_session(name: str, seed: int, *, estimator: str = "smoother") -> S
         noise = structs.replace(item.noise, **situation.odometry)
         world.robots[robot] = replace(item, noise=noise)
     session = simulated(world, situation.disturbance)
-    site = _site(world, situation, estimator)
-    lenses = _told_lenses(world, site, situation)
-    targets = {robot: world.target(robot) for robot in world.robots}
-    inputs = Inputs(site, targets, lenses, _known(world, situation))
-    messages = session.messages
+    inputs, messages = inputs_of(world, situation, estimator), session.messages
     if situation.is_in_order:
         messages = sorted(messages, key=_stamp)
     return StudySession(name, seed, inputs, messages, session)
 
 
-def plain_inputs(world: World) -> Inputs:
-    """What an estimator is told of a world by a site file without anything to be estimated."""
-    site = _site(world, _PLAIN, "smoother")
+def inputs_of(world: World, situation: Situation = _PLAIN, estimator: str = "smoother") -> Inputs:
+    """What an estimator is told of a world, in a plain situation by a site file without anything to
+    be estimated."""
+    site = _site(world, situation, estimator)
+    lenses = {name: camera.model for name, camera in world.cameras.items()}
+    if situation.is_lens_nominal:
+        lenses = {name: camera.nominal() for name, camera in site.cameras.items()}
     targets = {robot: world.target(robot) for robot in world.robots}
-    return Inputs(site, targets, _told_lenses(world, site, _PLAIN))
+    return Inputs(site, targets, lenses, _known(world, situation))
 
 
 def worked_out(session: StudySession) -> Pipeline:
@@ -103,32 +93,26 @@ def _stamp(item: tuple[str, Message]) -> tuple[int, bool]:
 
 
 def _site(world: World, situation: Situation, estimator: str) -> Site:
-    cameras = {}
-    for name, camera in world.cameras.items():
-        keys: dict[str, Any] = dict(situation.camera)
-        size = (camera.model.width, camera.model.height)
-        cameras[name] = CameraConfig(f"sim://{name}", *size, **keys)
-    # What is true of the simulated floor and mast is said.
-    flat = PriorConfig(floor_tilt=0.0, target_sway=0.0)
-    fusion: dict[str, Any] = {"estimator": estimator, "priors": flat, **situation.fusion}
-    robots = {n: RobotConfig("loop://", odometry=r.noise) for n, r in world.robots.items()}
-    return Site(
-        name="study",
-        cameras=cameras,
-        robots=robots,
-        bus=BusConfig(),
-        fusion=FusionConfig(**fusion),
-        recorder=RecorderConfig(),
-        directory=Path(),
-        text="",
-        default_target="target.toml",
-    )
+    def camera(name: str) -> dict[str, object]:
+        lens = world.cameras[name].model
+        size = {"width": lens.width, "height": lens.height}
+        return {"source": f"sim://{name}", **size, **situation.camera}
 
-
-def _told_lenses(world: World, site: Site, situation: Situation) -> dict[str, CameraModel]:
-    if situation.is_lens_nominal:
-        return {name: camera.nominal() for name, camera in site.cameras.items()}
-    return {name: camera.model for name, camera in world.cameras.items()}
+    settings = {
+        "cameras": {name: camera(name) for name in world.cameras},
+        "robots": {
+            name: {"port": "loop://", "odometry": structs.asdict(robot.noise)}
+            for name, robot in world.robots.items()
+        },
+        "fusion": {
+            "estimator": estimator,
+            # What is true of the simulated floor and mast is said.
+            "priors": {"floor_tilt": 0.0, "target_sway": 0.0},
+            **situation.fusion,
+        },
+    }
+    text = 'site = "study"\ntarget = "target.toml"\n'
+    return parse_site(text, directory=Path(), settings=settings)
 
 
 def _known(world: World, situation: Situation) -> KnownCameras:

@@ -42,7 +42,7 @@ class Situation(Struct, frozen=True):
     """
 
     title: str
-    world: str
+    world: str = "drive"
     goal: Goal = HARDER
     target: Literal["charuco", "checkerboard"] | None = None
     disturbance: Disturbance = field(default_factory=Disturbance)
@@ -69,7 +69,7 @@ _LENS_KEYS = {
 _KNOCK = np.array([0.0, 0.15, -0.05, 0.03, -0.02, 0.14])
 
 SITUATIONS: dict[str, Situation] = {
-    "drive": Situation("a drive without a stop, 0.4 m/s, 5 Hz", "drive", PLAIN),
+    "drive": Situation("a drive without a stop, 0.4 m/s, 5 Hz", goal=PLAIN),
     "drive_10hz": Situation("the same, 10 Hz", "drive_10hz", PLAIN),
     "one_picture": Situation(
         "one picture a camera and pass on a closed loop",
@@ -78,61 +78,51 @@ SITUATIONS: dict[str, Situation] = {
     ),
     "dance": Situation("the dance", "dance", PLAIN),
     "loop": Situation("loops in the dance's time", "loop", PLAIN),
-    "alike": Situation("six equal checkerboards", "drive", target="checkerboard"),
+    "alike": Situation("six equal checkerboards", target="checkerboard"),
     "lens": Situation(
         "unknown lenses, drawn about the nominal one",
-        "drive",
         disturbance=Disturbance(lens=_LENS),
         camera=_LENS_KEYS,
     ),
     "nominal_lens": Situation(
         "unknown lenses, the site file's defaults",
-        "drive",
         camera={"intrinsics": "estimate"},
         is_lens_nominal=True,
     ),
     "displaced": Situation(
         "5 % of the sightings displaced by 15 px",
-        "drive",
         disturbance=Disturbance(displaced_share=0.05),
     ),
     "wild": Situation(
         "1 % of the corners wild",
-        "drive",
         disturbance=Disturbance(wild_share=0.01),
     ),
     "misnamed": Situation(
         "2 % of the sightings named as another face",
-        "drive",
         disturbance=Disturbance(misnamed_share=0.02),
     ),
     "time_offset": Situation(
         "unknown time offsets of 50 ms",
-        "drive",
         disturbance=Disturbance(time_offset_s=0.05),
         camera={"time_offset_sigma": 0.05},
     ),
     "rolling": Situation(
         "rolling shutters of 30 µs a row",
-        "drive",
         disturbance=Disturbance(line_delay_s=30e-6),
         camera={"line_delay": 30e-6},
     ),
     "scale": Situation(
         "unknown odometry scale errors of 2 %",
-        "drive",
         odometry={"distance_scale": 0.02, "heading_scale": 0.02},
     ),
     "mount": Situation(
         "faces mounted 3 mm and 0.5° off",
-        "drive",
         disturbance=Disturbance(mount_m=0.003, mount_rad=float(np.radians(0.5))),
         fusion={"target_translation": 0.003, "target_rotation": float(np.radians(0.5))},
     ),
-    "new_camera": Situation("a known network and a new camera", "drive", known=Known.ALL_BUT_ONE),
+    "new_camera": Situation("a known network and a new camera", known=Known.ALL_BUT_ONE),
     "moved_since": Situation(
         "a known network of which a camera was moved",
-        "drive",
         disturbance=Disturbance(moves={MOVED_CAMERA: (Move(-1.0, _KNOCK),)}),
         known=Known.ONE_MOVED,
     ),
@@ -140,13 +130,11 @@ SITUATIONS: dict[str, Situation] = {
     "robots_alike": Situation("two robots that carry one target", "robots_alike"),
     "moved": Situation(
         "a camera moved in mid-session",
-        "drive",
         disturbance=Disturbance(moves={"c2": (Move(35.0, _KNOCK),)}),
     ),
     "revisit": Situation("a revisit after long drift", "long_way", PLAIN),
     "kidnapped": Situation(
         "a robot lifted and put down elsewhere",
-        "drive",
         disturbance=Disturbance(lifts={"r1": (Lift(25.0, 7.0),)}),
     ),
     "kidnapped_known": Situation(
@@ -156,13 +144,11 @@ SITUATIONS: dict[str, Situation] = {
     ),
     "seen_once": Situation(
         "a camera seen once, a camera never seen",
-        "drive",
-        PLAIN,
+        goal=PLAIN,
         disturbance=Disturbance(pictures={"c3": 1, "c4": 0}),
     ),
     "disorder": Situation(
         "sightings late, twice and out of order, odometry gaps",
-        "drive",
         disturbance=Disturbance(
             twice_share=0.1, late_share=0.2, gaps_s=((20.0, 22.5), (39.0, 40.5))
         ),

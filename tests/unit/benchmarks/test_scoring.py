@@ -4,19 +4,20 @@ import numpy as np
 import pytest
 from support.pictures.boards import checkerboard
 
-from benchmarks.pictures.scoring import Found, Score, score_of
+from benchmarks.pictures.scoring import UNSAID, Score, score_of
 from benchmarks.pictures.views import TrueFace, View
+from trigpoint.contract.messages import FaceSighting
 from trigpoint.geometry.rotation import Array
 
 BOARD = checkerboard()
 PIXELS = 1000 * BOARD.corners[:, :2]
 
 
-def score(off: Array, sigma: float | None) -> Score:
+def score(off: Array, sigma: float) -> Score:
     """Of a face whose corners are `off` (n, 2) from the truth."""
     view = View(np.zeros((4, 4), np.uint8), (TrueFace(BOARD, PIXELS, True),))
     ids = np.arange(BOARD.corner_count)
-    return score_of([view], [[Found(BOARD.id, ids, PIXELS + off, sigma)]])
+    return score_of([view], [[FaceSighting("", BOARD.id, ids, PIXELS + off, sigma)]])
 
 
 def test_error_is_told_in_the_sigmas_that_were_said() -> None:
@@ -27,6 +28,6 @@ def test_error_is_told_in_the_sigmas_that_were_said() -> None:
 
 
 def test_finder_that_says_no_sigma_has_no_error_in_sigmas() -> None:
-    found = score(np.full(PIXELS.shape, 0.5), None)
+    found = score(np.full(PIXELS.shape, 0.5), UNSAID)
     assert found.rms() == pytest.approx(0.5)
     assert found.normalised_rms == 0.0

@@ -2,8 +2,7 @@
 
 import pytest
 
-from benchmarks.endurance.report import rows_of
-from benchmarks.endurance.soak import Break, Record, Sample
+from benchmarks.endurance.soak import Break, Record, Sample, rows_of
 
 
 def test_memory_is_held_against_what_it_was_once_settled() -> None:

@@ -7,7 +7,7 @@ from msgspec.structs import replace
 from support.fusion.networks import located
 
 from benchmarks.fusion.accuracy_map import drawn, hall
-from benchmarks.study.session import plain_inputs
+from benchmarks.study.session import inputs_of
 from trigpoint.contract.coverage import NOT_CORRECTED, UNKNOWN
 from trigpoint.fusion.coverage.accuracy_map import (
     NOBODY,
@@ -29,7 +29,7 @@ from trigpoint.map.network import (
 )
 
 WORLD = hall(1, "charuco")
-INPUTS = plain_inputs(WORLD)
+INPUTS = inputs_of(WORLD)
 NOWHERE = np.zeros((0, 2))
 
 

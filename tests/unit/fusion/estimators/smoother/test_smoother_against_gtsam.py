@@ -5,7 +5,14 @@ import pytest
 
 pytest.importorskip("gtsam", reason="gtsam is not installed; pip install -e '.[bench]'")
 
-from benchmarks.fusion.gtsam_comparison import difference, problem_of, smoothed, solved_by
+from benchmarks.fusion.gtsam_comparison import (
+    difference,
+    native,
+    problem_of,
+    reprojection,
+    smoothed,
+    solved_by,
+)
 from trigpoint.fusion.model.problem import Problem, State
 
 
@@ -17,7 +24,7 @@ def problem() -> tuple[Problem, State]:
 def test_the_same_residuals_give_the_same_poses_and_covariances(
     problem: tuple[Problem, State],
 ) -> None:
-    apart = difference(smoothed(*problem), solved_by("reprojection", *problem))
+    apart = difference(smoothed(*problem), solved_by(reprojection, *problem))
     assert apart.poses < 0.01
     assert apart.sigmas < 0.01
 
@@ -25,6 +32,6 @@ def test_the_same_residuals_give_the_same_poses_and_covariances(
 def test_relative_poses_of_single_pictures_give_nearly_the_same(
     problem: tuple[Problem, State],
 ) -> None:
-    apart = difference(smoothed(*problem), solved_by("native", *problem))
+    apart = difference(smoothed(*problem), solved_by(native, *problem))
     assert apart.poses < 0.05
     assert apart.sigmas < 0.05
