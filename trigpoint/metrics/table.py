@@ -44,6 +44,15 @@ class Metric(Struct, frozen=True):
         own = tuple(re.findall(r"\{(\w+)", self.value))
         return (*own, self.text) if self.text else own
 
+    @property
+    def known_labels(self) -> tuple[dict[str, str], ...]:
+        """Every set of its own labels, where the row says which there are."""
+        choices = re.search(r"\{(\w+)(?::([\w|]+)\})?", self.value)
+        if choices is None:
+            return ({},)
+        label, names = choices.groups()
+        return tuple({label: name} for name in names.split("|")) if names else ()
+
     def match(self, value: str) -> dict[str, str] | None:
         """The labels in a value's name; None where it is not this metric's."""
         found = _pattern(self.value).fullmatch(value)
@@ -63,6 +72,10 @@ EVERY = "every node"
 LEVEL, REPORTED = "level", "reported"
 """Values beside the diagnostics' own: the status's level, and when it was read, ns."""
 _QUEUE = f"{{queue:{'|'.join(topic.name for topic in TOPICS)}|odometry .+}}"
+_REFUSED = (
+    "{reason:wrong_frame|not_planar|no_covariance|too_uncertain|too_old|in_the_future|two_senders|"
+    "out_of_order|no_odometry|jump|pull|other_map|not_connected|by_robot}"
+)
 
 METRICS: dict[str, tuple[Metric, ...]] = {
     EVERY: (
@@ -214,7 +227,7 @@ METRICS: dict[str, tuple[Metric, ...]] = {
         ),
         Metric(
             "trigpoint_corrections_refused_total",
-            "corrections_refused_{reason}.lost",
+            f"corrections_refused_{_REFUSED}.lost",
             "corrections refused by the bridge, or `by_robot`",
         ),
         Metric(
@@ -306,7 +319,7 @@ METRICS: dict[str, tuple[Metric, ...]] = {
         ),
         Metric(
             "trigpoint_serial_errors_total",
-            "serial_{reason}_errors.lost",
+            "serial_{reason:framing|checksum|content}_errors.lost",
             "damaged frames on the line",
         ),
         Metric(
