@@ -338,7 +338,7 @@ METRICS: dict[str, tuple[Metric, ...]] = {
         Metric(
             "trigpoint_cameras_worst_sigma_meters",
             "worst_sigma_m",
-            "largest sigma of a located camera's position along an axis; NaN where none is located",
+            "sigma of the worst located camera's place, root of the trace; NaN where none is",
         ),
         Metric(
             "trigpoint_observations_waiting",

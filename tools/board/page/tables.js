@@ -161,7 +161,7 @@ export class Tables {
     const placed = robots.filter(([, robot]) => robot.at && !robot.stale).length;
     const lost = nodes.reduce((sum, [, node]) => sum + (node.lost || 0), 0);
     const alarms = this.kinds("alarm").filter(([, alarm]) => !alarm.until).length;
-    const texts = [["cameras located", `${located} / ${cameras.length}`], ["robots placed", `${placed} / ${robots.length}`], [alarms === 1 ? "alarm" : "alarms", alarms], ["messages or pictures lost", lost]];
+    const texts = [["cameras located", `${located} / ${cameras.length}`], ["robots placed", `${placed} / ${robots.length}`], [alarms === 1 ? "alarm" : "alarms", alarms], [lost === 1 ? "message or picture lost" : "messages or pictures lost", lost]];
     const list = document.getElementById("counts");
     texts.forEach(([word, value], i) => {
       const item = list.children[i] || list.appendChild(document.createElement("li"));

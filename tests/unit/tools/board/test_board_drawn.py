@@ -231,11 +231,15 @@ def test_errors_come_before_later_warnings_and_words_are_right_at_their_edges(
           tables.show("alarm/1", { node: "a", text: "down", state: "error", since: 1 });
           tables.show("alarm/2", { node: "b", text: "slow", state: "warning", since: 9 });
           tables.alarms(10);
+          tables.show("node/a", { state: "ok", lost: 1 });
+          tables.counts();
+          const lost = document.querySelector("#counts li:last-child").textContent;
           const alarms = [...document.querySelectorAll("#alarms span")];
           const texts = alarms.slice(0, 2).map((one) => one.textContent);
-          return [texts, spoken(7190), spoken(89.6), degrees(-0.004), degrees(-Math.PI / 2)];
+          return [lost, texts, spoken(7190), spoken(89.6), degrees(-0.004), degrees(-Math.PI / 2)];
         }"""
     )
+    assert said.pop(0) == "1 message or picture lost"
     assert said == [["a: down", "b: slow"], "2 h 0 min", "2 min", "0°", "270°"]
 
 
