@@ -139,3 +139,12 @@ def test_the_line_of_a_quantile_crosses_no_other_ones_words() -> None:
     words = re.findall(r'<text[^>]* y="([\d.]+)"[^>]*mark-text', chart)
     assert len(lines) == len(words) == 2
     assert float(lines[1]) > float(words[0])
+
+
+def test_the_last_number_of_an_axis_is_not_cut() -> None:
+    chart = latency_chart(make_results(latencies_s=np.linspace(0.1, 1.5, 99)))
+    width = re.search(r'viewBox="0 0 ([\d.]+)', chart)
+    ticks = re.findall(r'<text x="([\d.]+)"[^>]*class="tick middle[^>]*>(\d+)<', chart)
+    assert width is not None
+    assert ticks[-1][1] == "2000"
+    assert float(ticks[-1][0]) + 4 * 10 / 2 < float(width[1])  # a digit is 10 wide on a phone
