@@ -117,7 +117,9 @@ METRICS: dict[str, tuple[Metric, ...]] = {
         Metric("trigpoint_unsent_total", "unsent.lost", "messages that could not be sent"),
         Metric("trigpoint_queue_received_total", f"{_QUEUE}.total", "messages into a queue"),
         Metric(
-            "trigpoint_queue_dropped_total", f"{_QUEUE}.lost", "messages that a full queue dropped"
+            "trigpoint_queue_dropped_total",
+            f"{_QUEUE}.lost",
+            "messages lost before they were read: by a full queue, or in transit",
         ),
         Metric("trigpoint_queue_depth", "{queue}.depth", "what waits in a queue"),
         Metric(
