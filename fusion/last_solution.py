@@ -37,13 +37,14 @@ def save_last(pipeline: Pipeline, out: Path, clock: Clock, *, turn_s: float | No
             pipeline.results().save(out)
         if is_final := turn_s < _LONG_TURN_S:
             pipeline.finish()
+    has_results = pipeline.reports.has_results
     if not is_final:
         _log.warning(
-            "the last solution would take longer than a stop may; the previous one is kept; "
-            "run `trigpoint calibrate` over the recording for the last one"
+            "the last solution would take longer than a stop may; %s; "
+            "run `trigpoint calibrate` over the recording for the last one",
+            "the previous one is kept" if has_results else "no network is written",
         )
-    if not pipeline.reports.has_results:
-        _log.warning("no network is written: there is no solution yet")
+    if not has_results:
         return
     with ENDING.writing():
         pipeline.results().save(out)

@@ -8,6 +8,7 @@ from trigpoint.base.words import plus_minus
 from trigpoint.contract import topics
 from trigpoint.contract.messages import Message, PoseEstimate, Transforms
 from trigpoint.contract.topics import Topic
+from trigpoint.geometry.uncertainty import position_sigma
 
 from .model.observations import Observation
 
@@ -35,11 +36,11 @@ class CameraAccuracy:
         self.worst_sigma_m = math.nan
 
     def words_after(self, output: Output) -> str:
-        """«c1 ±0.8 cm, c2 not located», the largest sigma of the three axes; "" where this output
-        is not the one that names all located cameras."""
+        """«c1 ±0.8 cm, c2 not located»; "" where this output is not the one that names all located
+        cameras."""
         message = output.message
         if output.topic is topics.CAMERA_POSE and isinstance(message, PoseEstimate):
-            self._sigmas_m[output.node] = math.sqrt(message.covariance.diagonal()[:3].max())
+            self._sigmas_m[output.node] = position_sigma(message.covariance)
         if output.topic is not topics.TF_STATIC or not isinstance(message, Transforms):
             return ""
         located = {one.child.partition("/")[0] for one in message.transforms}

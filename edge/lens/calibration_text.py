@@ -14,13 +14,14 @@ THINLY_COVERED = 0.7
 
 def parameter_rows(found: Calibration) -> list[tuple[str, str, str]]:
     """Each of the lens's numbers: its name, the number to two digits of its sigma, and the sigma,
-    "" where nothing is known of that."""
+    "" where nothing is known of that; with units."""
     camera = found.camera
     names = ("fx", "fy", "cx", "cy", *camera.model.coefficients)
-    values = zip(names, camera.parameters, found.known.sigma, strict=True)
+    units = [" px"] * 4 + [""] * len(camera.model.coefficients)
+    values = zip(names, units, camera.parameters, found.known.sigma, strict=True)
     return [
-        (name, rounded(value, sigma), rounded(sigma, sigma) if found.has_sigmas else "")
-        for name, value, sigma in values
+        (name, rounded(value, s) + unit, rounded(s, s) + unit if found.has_sigmas else "")
+        for name, unit, value, s in values
     ]
 
 

@@ -4,7 +4,9 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from trigpoint.contract.coverage import UNKNOWN
 from trigpoint.contract.messages import OccupancyGrid
+from trigpoint.fusion.model.places import are_near
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.map.network import Network
@@ -12,7 +14,7 @@ from trigpoint.site.config import Site
 from trigpoint.site.target import Target
 
 from .accuracy_map import accuracy_map, grid_values
-from .floor import each_decimetre, floor_of
+from .floor import DRIVEN_M, each_decimetre, floor_of
 from .known_network import KnownNetwork, carried_by, known_network
 
 PERIOD_S = 15.0
@@ -25,11 +27,13 @@ _SAME_M, _SAME_RAD, _SAME_SIGMA = 0.05, 0.01, 1.25
 
 
 class AnnouncedMap:
-    """The map that was announced last. Not thread-safe."""
+    """The map that was announced last, and all that robots drove, also where the estimator has
+    forgotten it. Not thread-safe."""
 
     def __init__(self, site: Site, targets: Mapping[str, Target]) -> None:
         self._site, self._targets = site, targets
         self._before: KnownNetwork | None = None
+        self._driven = self._floor = np.zeros((0, 2))
 
     def anew(
         self,
@@ -40,22 +44,27 @@ class AnnouncedMap:
         step: Callable[[int], None] = lambda _cells: None,
     ) -> OccupancyGrid | None:
         """The grid by a network and its joint covariance; None where no camera is located, or it
-        differs from the last by no more than matters. `step`: called often, as the work goes on."""
+        differs from the last by no more than matters and nobody drove beyond the floor that is
+        known. `step`: called often, as the work goes on."""
         if not network.located:
             return None
         known = known_network(network, covariance)
-        if self._before is not None and not differs(self._before, known):
+        ways = [poses.translation for _, poses in trajectories.values()]
+        places = each_decimetre([self._driven, *ways])
+        is_known = self._before is not None and not differs(self._before, known)
+        if is_known and are_near(places, self._floor, DRIVEN_M).all():
             return None
-        places = each_decimetre([poses.translation for _, poses in trajectories.values()])
         carried = carried_by(self._site.robots, self._targets, network)
         floor = floor_of(known, carried, places, most_cells=MOST_CELLS)
         if not floor.rows:
             return None
         maps = [accuracy_map(known, each, floor, places, step=step) for each in carried]
-        self._before = known
         stamp_ns = max((int(stamps[-1]) for stamps, _ in trajectories.values()), default=0)
-        values = grid_values(maps).reshape(floor.rows, floor.columns)
-        return OccupancyGrid(stamp_ns, "map", floor.cell_m, Pose.planar(*floor.origin, 0.0), values)
+        values = grid_values(maps)
+        self._before, self._driven = known, places
+        self._floor = np.concatenate([places, floor.centres[values != UNKNOWN]])
+        origin, shape = Pose.planar(*floor.origin, 0.0), (floor.rows, floor.columns)
+        return OccupancyGrid(stamp_ns, "map", floor.cell_m, origin, values.reshape(shape))
 
 
 def differs(before: KnownNetwork, now: KnownNetwork) -> bool:

@@ -11,6 +11,7 @@ from trigpoint.base.words import plus_minus
 from trigpoint.contract.messages import CameraInfo, FaceSighting, Picture, PoseEstimate, Sightings
 from trigpoint.geometry import CameraModel
 from trigpoint.geometry.rotation import Array, to_quaternion
+from trigpoint.geometry.uncertainty import position_sigma
 
 from . import style
 from .columns import Columns, Rate
@@ -85,7 +86,7 @@ class CameraScene:
 
     def add_pose(self, message: PoseEstimate) -> None:
         stamp_ns, pose = message.stamp_ns, message.pose
-        sigma_m = style.position_sigma(message.covariance)
+        sigma_m = position_sigma(message.covariance)
         self.position, self.estimate = pose.translation, message
         if not self._is_located:
             self._is_located = True

@@ -9,6 +9,7 @@ from trigpoint.base.clock import to_ns
 from trigpoint.contract.messages import Odometry, PoseArray, PoseEstimate, PoseStamped
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
+from trigpoint.geometry.uncertainty import position_sigma
 from trigpoint.site.target import Target
 
 from . import style
@@ -95,7 +96,7 @@ class RobotScene:
         draw_ellipsoid(self._columns, f"{self._path}/uncertainty", message, self._colour)
         self._name_body(message.stamp_ns, message.pose)
         sigmas = f"{style.ROBOT_SIGMAS}/{self.name}"
-        centimetres = style.decades(100 * style.position_sigma(message.covariance))
+        centimetres = style.decades(100 * position_sigma(message.covariance))
         self._columns.row(sigmas, message.stamp_ns, rr.Scalars, scalars=[centimetres])
         heading = style.decades(1000 * style.heading_sigma(message.covariance))
         headings = f"{style.HEADING_SIGMAS}/{self.name}"

@@ -123,11 +123,6 @@ def ellipsoid(covariance: Array) -> tuple[Array, Array]:
     return np.maximum(SIGMAS_DRAWN * MAGNIFIED * sigmas, _THINNEST_M), axes
 
 
-def position_sigma(covariance: Array) -> float:
-    """Root of the trace of the position's part of a (6, 6), metres."""
-    return float(np.sqrt(max(0.0, np.trace(covariance[:3, :3]))))
-
-
 def heading_sigma(covariance: Array) -> float:
     """Standard deviation about the vertical axis of a (6, 6), radians."""
     return float(np.sqrt(max(0.0, covariance[5, 5])))

@@ -10,12 +10,12 @@ from msgspec import Struct
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
-from starlette.responses import PlainTextResponse, RedirectResponse, Response
+from starlette.responses import PlainTextResponse, Response
 from starlette.routing import Route
 
 from trigpoint.base.errors import InputError
 from trigpoint.contract.messages import FaceSighting
-from trigpoint.tools.web.access import Guard
+from trigpoint.tools.web.access import Guard, sent_on
 from trigpoint.tools.web.answers import (
     SEND_S,
     EventStream,
@@ -81,8 +81,9 @@ class Board(Struct, frozen=True):
         given = parse_qs(await _form(request)).get("token", [""])[0]
         if not self.guard.is_token(given.strip()):
             await asyncio.sleep(_LOGIN_DELAY_S)
-            return Response(self.files["login.html"], 401, media_type="text/html")
-        return self.guard.let_in(RedirectResponse("/", 303))
+            page = self.files["login.html"].replace(b'"alert">', b'"alert">That is not the word.')
+            return Response(page, 401, media_type="text/html")
+        return self.guard.let_in(sent_on(request, "/"))
 
     async def _events(self, request: Request) -> Response:
         feed, history = self.feed, self.history

@@ -3,8 +3,6 @@
 from collections.abc import Collection
 from contextlib import suppress
 
-import numpy as np
-
 from trigpoint.base.errors import MessageError
 from trigpoint.bus.bus import Bus, Subscription
 from trigpoint.contract.cdr import decode
@@ -19,6 +17,7 @@ from trigpoint.contract.topics import (
     node_of,
     topic_of,
 )
+from trigpoint.geometry.uncertainty import position_sigma
 from trigpoint.tools.site.status import statuses_in
 
 _TOTAL = ".total"
@@ -70,7 +69,7 @@ class Watch:
             with suppress(MessageError):  # which the nodes themselves report
                 message = decode(topic.type_name, payload)
                 assert isinstance(message, PoseEstimate)
-                known[name] = float(np.sqrt(np.trace(message.covariance[:3, :3])))
+                known[name] = position_sigma(message.covariance)
 
     def counts(self) -> dict[str, dict[str, int]]:
         """Node -> name -> total, and `name.lost` -> losses, as they were last heard; a node that

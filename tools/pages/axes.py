@@ -10,7 +10,7 @@ from trigpoint.geometry.rotation import Array
 
 from .svg import drawing, element, group, line, text
 
-LEFT, RIGHT, TOP, BOTTOM = 54.0, 14.0, 14.0, 34.0
+LEFT, RIGHT, TOP, BOTTOM = 54.0, 22.0, 14.0, 34.0
 
 
 class Scale(Struct, frozen=True):

@@ -91,9 +91,10 @@ def _histogram(residuals: CameraResiduals, *, name: str) -> tuple[str, str]:
         polyline(axes.points(across, normal), class_="normal"),
         label=f"Histogram of the residuals of camera {name} in sigmas",
     )
+    mean = np.mean(values).round(2) + 0.0  # no -0.00
     words = (
-        f"Standard deviation {np.std(values):.2f} sigmas, mean {np.mean(values):+.2f}; the line is "
-        "what noise of the stated size would give."
+        f"Standard deviation {np.std(values):.2f} sigmas, mean {mean:+.2f}; the line is what noise "
+        "of the stated size would give."
     )
     return chart, words
 

@@ -29,7 +29,7 @@ HEADERS = {
     "form-action 'self'; frame-ancestors 'none'",
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "DENY",
-    "Referrer-Policy": "no-referrer",
+    "Referrer-Policy": "same-origin",  # with none, a browser says of no form whose it is
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
     "Permissions-Policy": "camera=(), microphone=(), geolocation=()",
@@ -135,7 +135,7 @@ class Guard:
         if not self._access.token or request.url.path in self._open_paths or self.is_known(request):
             return None
         if request.url.path == "/":
-            return RedirectResponse("/login", 303)
+            return sent_on(request, "/login")
         return PlainTextResponse("log in first", 401, {"WWW-Authenticate": "Bearer"})
 
     def is_known(self, request: Request) -> bool:
@@ -181,6 +181,11 @@ class Guard:
     def _is_own_page(self, request: Request) -> bool:
         origin = request.headers.get("origin", "")
         return _parts(origin).netloc == request.headers.get("host", "") != ""
+
+
+def sent_on(request: Request, path: str) -> Response:
+    """To another path, with what was asked for (`?kiosk`)."""
+    return RedirectResponse(str(request.url.replace(scheme="", netloc="", path=path)), 303)
 
 
 def _parts(address: str) -> SplitResult:

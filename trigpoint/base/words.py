@@ -26,13 +26,18 @@ def plus_minus(sigma_m: float) -> str:
     return f"±{100 * sigma_m:.1f} cm" if round(sigma_m, 3) < 1 else f"±{sigma_m:.1f} m"
 
 
+_OF_PICTURES = ("frozen", "given_up", "out_of_order", "unreadable")
+
+
 def loss_words(losses: Mapping[str, int]) -> str:
-    """Losses by the names of their counters: «1 picture, 3 given up»; "" where there are none."""
-    return ", ".join(
-        f"{count} {(name if count > 1 else name.removesuffix('s')).replace('_', ' ')}"
-        for name, count in losses.items()
-        if count
-    )
+    """Losses by the names of their counters: «1 picture, 3 pictures given up»; "" where there are
+    none."""
+    return ", ".join(_lost(name, count) for name, count in losses.items() if count)
+
+
+def _lost(name: str, count: int) -> str:
+    words = f"{'pictures ' * (name in _OF_PICTURES)}{name}".replace("_", " ")
+    return f"{count} {words if count > 1 else re.sub(r's(?= |$)', '', words, count=1)}"
 
 
 def two_decimals(value: float) -> str:

@@ -13,6 +13,11 @@ from .pose import Pose
 from .rotation import Array, hat
 
 
+def position_sigma(covariance: Array) -> float:
+    """Root of the trace of the position's part of a (6, 6), metres: how well a place is known."""
+    return float(np.sqrt(max(0.0, np.trace(covariance[:3, :3]))))
+
+
 def carried_covariance(parent_from_old: Pose, covariance: Array) -> Array:
     """Covariance (6, 6) of `parent_from_old @ pose` where `pose` in `old` has `covariance`.
 

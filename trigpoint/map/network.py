@@ -15,6 +15,7 @@ from trigpoint.base.errors import InputError, read_text, writing
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.camera import LensModel
 from trigpoint.geometry.rotation import Array
+from trigpoint.geometry.uncertainty import position_sigma
 
 FORMAT = "trigpoint-network/1"
 ON_ONE_SIGHTING = (
@@ -130,7 +131,7 @@ class CameraRecord(Struct, frozen=True, omit_defaults=False):
     @property
     def position_sigma(self) -> float:
         """Square root of the position covariance's trace, metres."""
-        return math.sqrt(float(np.trace(self.covariance_matrix[:3, :3])))
+        return position_sigma(self.covariance_matrix)
 
     @property
     def rotation_sigma(self) -> float:

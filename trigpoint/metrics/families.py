@@ -58,12 +58,12 @@ def _samples(
 ) -> Iterator[tuple[Metric, dict[str, str], float | Durations]]:
     kind = status.name.partition("/")[0]
     own = {LEVEL: str(status.level)} | ({REPORTED: str(stamp_ns)} if stamp_ns else {})
-    never = {metric.name: metric for metric in _counters(kind)} if stamp_ns else {}
+    never = dict(_counters(kind)) if stamp_ns else {}
     for name, text in (own | status.values).items():
         if is_left_out(name):
             continue
         metric, labels = metric_of(kind, name)
-        never.pop(metric.name, None)
+        never.pop((metric.name, *labels.values()), None)
         if metric.text:
             # What follows a colon is why, for people; as a label it would be a series each time.
             yield metric, labels | {metric.text: text.partition(": ")[0]}, 1.0
@@ -72,15 +72,19 @@ def _samples(
                 yield metric, labels, durations
         elif (value := _number(text)) is not None:
             yield metric, labels, value * metric.scale
-    for metric in never.values():  # else Prometheus's `increase` does not see the first
-        yield metric, {}, 0.0
+    for metric, labels in never.values():  # else Prometheus's `increase` does not see the first
+        yield metric, labels, 0.0
 
 
 @cache
-def _counters(kind: str) -> tuple[Metric, ...]:
-    """The counters without labels of their own that each node of this kind has."""
-    rows = (*METRICS.get(kind, ()), *METRICS[EVERY])
-    return tuple(row for row in rows if not row.labels and row.value.endswith((".total", ".lost")))
+def _counters(kind: str) -> dict[tuple[str, ...], tuple[Metric, dict[str, str]]]:
+    """The counters that each node of this kind has: name and labels' values -> row and labels."""
+    return {
+        (row.name, *labels.values()): (row, labels)
+        for row in (*METRICS.get(kind, ()), *METRICS[EVERY])
+        if row.value.endswith((".total", ".lost"))
+        for labels in row.known_labels
+    }
 
 
 def _durations(text: str) -> Durations | None:

@@ -44,6 +44,15 @@ class Metric(Struct, frozen=True):
         own = tuple(re.findall(r"\{(\w+)", self.value))
         return (*own, self.text) if self.text else own
 
+    @property
+    def known_labels(self) -> tuple[dict[str, str], ...]:
+        """Every set of its own labels, where the row says which there are."""
+        choices = re.search(r"\{(\w+)(?::([\w|]+)\})?", self.value)
+        if choices is None:
+            return ({},)
+        label, names = choices.groups()
+        return tuple({label: name} for name in names.split("|")) if names else ()
+
     def match(self, value: str) -> dict[str, str] | None:
         """The labels in a value's name; None where it is not this metric's."""
         found = _pattern(self.value).fullmatch(value)
@@ -63,6 +72,10 @@ EVERY = "every node"
 LEVEL, REPORTED = "level", "reported"
 """Values beside the diagnostics' own: the status's level, and when it was read, ns."""
 _QUEUE = f"{{queue:{'|'.join(topic.name for topic in TOPICS)}|odometry .+}}"
+_REFUSED = (
+    "{reason:wrong_frame|not_planar|no_covariance|too_uncertain|too_old|in_the_future|two_senders|"
+    "out_of_order|no_odometry|jump|pull|other_map|not_connected|by_robot}"
+)
 
 METRICS: dict[str, tuple[Metric, ...]] = {
     EVERY: (
@@ -104,7 +117,9 @@ METRICS: dict[str, tuple[Metric, ...]] = {
         Metric("trigpoint_unsent_total", "unsent.lost", "messages that could not be sent"),
         Metric("trigpoint_queue_received_total", f"{_QUEUE}.total", "messages into a queue"),
         Metric(
-            "trigpoint_queue_dropped_total", f"{_QUEUE}.lost", "messages that a full queue dropped"
+            "trigpoint_queue_dropped_total",
+            f"{_QUEUE}.lost",
+            "messages lost before they were read: by a full queue, or in transit",
         ),
         Metric("trigpoint_queue_depth", "{queue}.depth", "what waits in a queue"),
         Metric(
@@ -214,7 +229,7 @@ METRICS: dict[str, tuple[Metric, ...]] = {
         ),
         Metric(
             "trigpoint_corrections_refused_total",
-            "corrections_refused_{reason}.lost",
+            f"corrections_refused_{_REFUSED}.lost",
             "corrections refused by the bridge, or `by_robot`",
         ),
         Metric(
@@ -306,7 +321,7 @@ METRICS: dict[str, tuple[Metric, ...]] = {
         ),
         Metric(
             "trigpoint_serial_errors_total",
-            "serial_{reason}_errors.lost",
+            "serial_{reason:framing|checksum|content}_errors.lost",
             "damaged frames on the line",
         ),
         Metric(
@@ -325,7 +340,7 @@ METRICS: dict[str, tuple[Metric, ...]] = {
         Metric(
             "trigpoint_cameras_worst_sigma_meters",
             "worst_sigma_m",
-            "largest sigma of a located camera's position along an axis; NaN where none is located",
+            "sigma of the worst located camera's place, root of the trace; NaN where none is",
         ),
         Metric(
             "trigpoint_observations_waiting",

@@ -72,7 +72,7 @@ class Health:
         self._lost_ns: int | None = None
         self._read_ns = self._clock.elapsed_ns()
         self._read_totals: dict[str, int] = {}
-        self._read_losses: dict[str, int] = {}
+        self._read_losses: Counter[str] = Counter()
 
     def count(self, name: str, amount: int = 1) -> None:
         """Add to a counter."""
@@ -163,7 +163,7 @@ class Health:
         """Read everything; rates are since the last report. Called by one thread."""
         now_ns = self._clock.elapsed_ns()
         with self._lock:
-            totals, losses = dict(self._totals), dict(self._losses)
+            totals, losses = dict(self._totals), Counter(self._losses)
             watched, gauges = dict(self._watched), dict(self._gauges)
             values = dict(self._descriptions)
             values |= {f"{name}.seconds": each.text for name, each in self._durations.items()}
@@ -171,7 +171,7 @@ class Health:
         values |= {name: _number(value) for name, value in read_now.items() if value is not None}
         for name, subscription in watched.items():
             totals[name] = totals.get(name, 0) + subscription.received
-            losses[name] = losses.get(name, 0) + subscription.dropped
+            losses[name] += subscription.dropped
             values[f"{name}.depth"] = str(subscription.depth)
         elapsed_s = max(to_seconds(now_ns - self._read_ns), 1e-3)
         for name, total in totals.items():
@@ -184,7 +184,7 @@ class Health:
         self._read_ns, self._read_totals, self._read_losses = now_ns, totals, losses
         return Report(level, message, dict(sorted(values.items())))
 
-    def _judge(self, losses: dict[str, int], now_ns: int) -> tuple[Level, str]:
+    def _judge(self, losses: Counter[str], now_ns: int) -> tuple[Level, str]:
         if losses != self._read_losses and any(losses.values()):
             self._lost_ns = now_ns
         if held := list(self.held.values()):

@@ -5,6 +5,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+import promql_parser as promql
 from ruamel.yaml import YAML
 
 from trigpoint.metrics.table import METRICS, OTHERS
@@ -53,12 +54,33 @@ def test_a_histogram_itself_is_no_series() -> None:
     assert series_of("trigpoint_peers_count") not in ROWS
 
 
+def parts_of(expression: str) -> list[promql.Expr]:
+    """Every part of an expression, which is parsed and whose types are checked."""
+    found: list[promql.Expr] = []
+    promql.walk(promql.parse(expression), found.append)
+    return found
+
+
 def test_alerts_and_dashboard_use_metrics_and_labels_that_exist() -> None:
     for expression, words in expressions():
-        names = {series_of(name) for name in re.findall(r"trigpoint_\w+", expression)}
-        assert names <= ROWS.keys(), expression
+        parts = parts_of(expression)
+        series = [part for part in parts if isinstance(part, promql.VectorSelector)]
+        names = {str(one.name) for one in series} - {"up"}
+        metrics = {series_of(name) for name in names}
+        assert metrics <= ROWS.keys(), expression
+        known = WHO.union({"instance"}, *(ROWS[name].labels for name in metrics))
+        assert {matcher.name for one in series for matcher in one.matchers.matchers} <= known | {
+            "job"
+        }
+        for part in parts:
+            if isinstance(part, promql.AggregateExpr):  # which leaves these alone
+                assert part.modifier is not None
+                assert set(part.modifier.labels) <= known | {"le"}, expression
+                known &= set(part.modifier.labels)
         used = re.findall(r"\{\{ ?(?:\$labels\.)?(\w+) ?\}\}", words)
-        known = WHO.union(*(ROWS[name].labels for name in names)) | {"instance"}
         assert set(used) <= known, (expression, words)
-        counters = re.findall(rf"(\w+\()?(trigpoint_\w+(?:_total|{HISTOGRAM}))\b", expression)
-        assert all(function in ("rate(", "increase(") for function, _ in counters), expression
+        ranged = {
+            part.vector_selector.name for part in parts if isinstance(part, promql.MatrixSelector)
+        }
+        counters = {name for name in names if re.search(f"(?:_total|{HISTOGRAM})$", name)}
+        assert counters <= ranged, expression

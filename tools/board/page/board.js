@@ -99,6 +99,7 @@ function everySecond() {
     ? (told.t ? `no news from the board's server for ${spoken(silent)}; trying again` : "connecting …")
     : live.site?.link || "";
   document.body.classList.toggle("cut", link !== "");
+  tables.cut = past ? "" : link;
   document.body.classList.toggle("past", past !== null);
   element("link").textContent = link || (past ? `as it was at ${clockOf(past.t)}` : "live");
   element("site").textContent = site.name || "Trigpoint";

@@ -93,6 +93,11 @@ function asked(text, wanted) {
   field.hidden = !wanted;
   field.value = "";
   go.disabled = Boolean(wanted);
+  field.onkeydown = (event) => {  // else Enter takes the form's first button, which leaves it
+    if (event.key !== "Enter") return;
+    event.preventDefault();
+    go.click();
+  };
   field.oninput = () => { go.disabled = field.value.trim() !== wanted; };
   dialog.returnValue = "no";
   dialog.showModal();

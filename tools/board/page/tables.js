@@ -23,6 +23,7 @@ const byName = new Intl.Collator("en", { numeric: true }).compare;
 export class Tables {
   constructor(look) {
     this.look = look;
+    this.cut = "";  // why nothing is known of now
     this.begin();
   }
 
@@ -62,7 +63,7 @@ export class Tables {
       head.append(disc, named(name));
     }
     if (!robot.at) return this.cells(row, [null, "not placed yet", "", "", "", ""]);
-    const fixed = robot.fixed ? `${spoken(now - robot.fixed)} ago` : "never";
+    const fixed = this.ago(robot.fixed, now);
     const place = metres(robot.at.slice(0, 2)) + (robot.stale ? " (stale)" : "");
     this.cells(row, [null, place, fixed, `${centimetres(robot.sigma)} ${fine(robot.turn)}`, degrees(robot.at[2]), robot.goal ? `${metres(robot.goal.slice(0, 2))} (${degrees(robot.goal[2])})` : "–"]);
   }
@@ -82,10 +83,15 @@ export class Tables {
     const place = camera.at ? metres(camera.at) : "–";
     const looks = camera.look ? `${degrees(camera.look[0])}, ${tilt(camera.look[1])}` : "–";
     const state = camera.state + (camera.stale && camera.state === "located" ? " (stale)" : "");
-    this.cells(row, [null, state, camera.sigma ? centimetres(camera.sigma) : "–", runs, camera.seen ? `${spoken(now - camera.seen)} ago` : "never", place, looks]);
+    this.cells(row, [null, state, camera.sigma ? centimetres(camera.sigma) : "–", runs, this.ago(camera.seen, now), place, looks]);
     row.cells[1].className = camera.state === "located" ? "good" : "open";
     row.cells[3].className = isLive ? "" : "bad";
     row.classList.toggle("fine", camera.state === "located" && !isUnheard(camera, node) && isLive);
+  }
+
+  // What the server did not hear since its start may have been before.
+  ago(at, now) {
+    return at ? `${spoken(now - at)} ago` : `not for ${spoken(now - (this.state.site?.begin ?? now))}`;
   }
 
   node(name, node) {
@@ -129,7 +135,7 @@ export class Tables {
       const when = alarm.until ? `over; from ${at}, for ${spoken(alarm.until - alarm.since)}` : `since ${at}, for ${spoken(now - alarm.since)}`;
       return { name, kind: alarm.until ? "over" : alarm.state, text: `${alarm.node}: ${alarm.text}`, when };
     });
-    if (!items.some((one) => one.kind !== "over")) items.unshift({ name: "none", kind: "none", text: "All is well.", when: "" });
+    if (!items.some((one) => one.kind !== "over")) items.unshift({ name: "none", kind: this.cut ? "error" : "none", text: this.cut || "All is well.", when: "" });
     items.forEach((one, i) => {
       const item = list.children[i] || list.appendChild(document.createElement("li"));
       if (!item.firstChild) item.append(document.createElement("span"), document.createElement("small"));
@@ -147,7 +153,7 @@ export class Tables {
 
   headline() {
     const alarms = this.kinds("alarm").filter(([, alarm]) => !alarm.until).length;
-    return alarms ? `${alarms} alarm${alarms === 1 ? "" : "s"}` : "all is well";
+    return this.cut || (alarms ? `${alarms} alarm${alarms === 1 ? "" : "s"}` : "all is well");
   }
 
   absent() {
@@ -161,7 +167,7 @@ export class Tables {
     const placed = robots.filter(([, robot]) => robot.at && !robot.stale).length;
     const lost = nodes.reduce((sum, [, node]) => sum + (node.lost || 0), 0);
     const alarms = this.kinds("alarm").filter(([, alarm]) => !alarm.until).length;
-    const texts = [["cameras located", `${located} / ${cameras.length}`], ["robots placed", `${placed} / ${robots.length}`], [alarms === 1 ? "alarm" : "alarms", alarms], ["messages or pictures lost", lost]];
+    const texts = [["cameras located", `${located} / ${cameras.length}`], ["robots placed", `${placed} / ${robots.length}`], [alarms === 1 ? "alarm" : "alarms", alarms], [lost === 1 ? "message or picture lost" : "messages or pictures lost", lost]];
     const list = document.getElementById("counts");
     texts.forEach(([word, value], i) => {
       const item = list.children[i] || list.appendChild(document.createElement("li"));

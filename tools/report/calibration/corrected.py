@@ -95,7 +95,7 @@ def _meanings(each: AccuracyMap) -> Iterator[tuple[str, str]]:
     names += [f"beyond {100 * WITHIN_M[-2]:g} cm", "not corrected"]
     shown = np.diff([0.0, *sizes, each.floor_m2])
     for colour, name, area in zip(_COLOURS, names, shown, strict=True):
-        box = element("rect", x=4, y=1, width=26, height=12, fill=colour)
+        box = element("rect", x=4, y=1, width=26, height=12, fill=colour, class_="corrected-floor")
         yield box, f"{name}: {area:.1f} m²"
 
 

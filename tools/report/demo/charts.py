@@ -135,8 +135,9 @@ def _labels(axes: Axes, ends: list[tuple[float, str, str]]) -> str:
 
 
 def _mark(axes: Axes, value: float, name: str, row: int) -> str:
-    x, top = float(axes.across(value)), axes.up.end
-    words = text(x + 5, top + 10 + 15 * row, f"{name}: {value:.0f} ms", class_="label mark-text")
+    """A line at a value, from its words on: it crosses none of the rows above."""
+    x, top = float(axes.across(value)), axes.up.end + 15 * row
+    words = text(x + 5, top + 10, f"{name}: {value:.0f} ms", class_="label mark-text")
     return line(x, top, x, axes.up.start, class_="mark") + words
 
 

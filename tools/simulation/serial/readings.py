@@ -12,7 +12,8 @@ from trigpoint.tools.simulation.motion.odometry import OdometryLog, increments
 
 
 class Readings(Struct, frozen=True, dict=True):
-    """A robot's odometry; after the world's end the robot stands still and goes on sending."""
+    """A robot's odometry, which it sends before the world's start and after its end too, as it
+    stands; the readings before the start have numbers below 0."""
 
     log: OdometryLog
     epoch_ns: int
@@ -25,19 +26,19 @@ class Readings(Struct, frozen=True, dict=True):
     def first_after(self, unix_ns: int) -> int:
         """The number of the first reading at or after a time."""
         elapsed_s = (unix_ns - self.epoch_ns) / NANOSECONDS
-        return max(0, int(np.ceil((elapsed_s - self.log.stamps_s[0]) / self.period_s)))
+        return int(np.ceil((elapsed_s - self.log.stamps_s[0]) / self.period_s))
 
     def unix_ns(self, number: int) -> int:
         return self.epoch_ns + to_ns(float(self.log.stamps_s[0]) + number * self.period_s)
 
     def number(self, unix_ns: int) -> int:
-        """The number of the last reading at or before a time, 0 before the first."""
+        """The number of the last reading at or before a time."""
         elapsed_s = (unix_ns - self.epoch_ns) / NANOSECONDS
-        return max(0, int((elapsed_s - self.log.stamps_s[0]) / self.period_s + 1e-6))
+        return int(np.floor((elapsed_s - self.log.stamps_s[0]) / self.period_s + 1e-6))
 
     def pose(self, number: int) -> Pose:
         """odom_from_base."""
-        return self.log.poses[min(number, len(self.log.stamps_s) - 1)]
+        return self.log.poses[min(max(number, 0), len(self.log.stamps_s) - 1)]
 
     def twist(self, number: int) -> tuple[Array, Array]:
         """Linear and angular speed over the last increment, base frame."""

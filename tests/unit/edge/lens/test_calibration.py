@@ -1,5 +1,6 @@
 """A lens from views: is it right, are its sigmas true, and what is taken and left out."""
 
+import re
 from functools import cache
 from itertools import pairwise
 
@@ -253,6 +254,8 @@ def test_too_few_views_are_refused_with_what_to_do() -> None:
 def test_text_and_record_say_the_same() -> None:
     found = found_of(PINHOLE)
     text, record = calibration_text(found), calibration_record(found)
+    assert re.search(r"^  fx  [\d.]+ px ± [\d.]+ px$", text, re.MULTILINE)
+    assert re.search(r"^  k1  -?[\d.]+ ± [\d.]+$", text, re.MULTILINE)
     assert "16 views used, 16 of them different, 0 rejected" in text
     assert f"model {found.camera.model.value}" in text
     intrinsics = record["intrinsics"]

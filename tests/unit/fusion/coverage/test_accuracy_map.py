@@ -9,6 +9,7 @@ from support.fusion.networks import located
 from benchmarks.fusion.accuracy_map import drawn, hall
 from benchmarks.study.session import inputs_of
 from trigpoint.contract.coverage import NOT_CORRECTED, UNKNOWN
+from trigpoint.contract.messages import OccupancyGrid
 from trigpoint.fusion.coverage.accuracy_map import (
     NOBODY,
     AccuracyMap,
@@ -167,6 +168,27 @@ def test_a_map_is_announced_again_only_where_the_network_changed_by_more_than_ma
     assert announced.anew(moved(first, 0.02), 2.0 * covariance(1), ways) is None
     assert announced.anew(moved(first, 0.08), 2.0 * covariance(1), ways) is not None
     assert announced.anew(network_of("c2", "c3"), covariance(2), ways) is not None
+
+
+def test_floor_that_is_driven_anew_is_announced_and_stays_floor(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("trigpoint.fusion.coverage.announced.MOST_CELLS", 10_000)
+    announced = AnnouncedMap(INPUTS.site, INPUTS.targets)
+
+    def drive(x: float) -> OccupancyGrid | None:
+        way = {"r1": (np.array([5]), Pose.planar([x], [-9.0], [0.0]))}
+        return announced.anew(network_of("c2"), covariance(1), way)
+
+    assert drive(0.0) is not None
+    assert drive(0.2) is None
+    assert drive(9.0) is not None
+    assert drive(0.0) is None  # it is floor from before
+    last = drive(18.0)
+    assert last is not None
+    driven = np.array([[0.0, -9.0], [9.0, -9.0], [18.0, -9.0]]) - last.origin.translation[:2]
+    columns, rows = (driven / last.cell_m).astype(int).T
+    assert last.values[rows, columns].tolist() == [NOT_CORRECTED] * 3
 
 
 def moved(network: Network, by_m: float) -> Network:

@@ -160,6 +160,20 @@ def test_stop_while_a_solution_is_under_way_keeps_what_was_known(
     assert network.cameras["c1"].status == "located"
 
 
+def test_stop_before_the_solver_ever_answered_keeps_nothing_and_says_so(
+    charuco: Session, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    solver = StuckSolver(charuco.inputs)
+    solver.is_stuck = True
+    with working(charuco.inputs, tmp_path, lambda _: solver) as (fusion, _node, feed):
+        feed(charuco.messages[:50])
+    fusion.finish()
+    (said,) = (r.getMessage() for r in caplog.records if "longer than a stop" in r.getMessage())
+    assert "no network is written" in said
+    assert "kept" not in said
+    assert not (tmp_path / "network.json").exists()
+
+
 def test_what_comes_while_a_checkpoint_is_read_follows_it(
     charuco: Session, charuco_results: Results, tmp_path: Path
 ) -> None:

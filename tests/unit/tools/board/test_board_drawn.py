@@ -231,11 +231,19 @@ def test_errors_come_before_later_warnings_and_words_are_right_at_their_edges(
           tables.show("alarm/1", { node: "a", text: "down", state: "error", since: 1 });
           tables.show("alarm/2", { node: "b", text: "slow", state: "warning", since: 9 });
           tables.alarms(10);
+          tables.show("node/a", { state: "ok", lost: 1 });
+          tables.counts();
+          tables.show("site", { begin: 4 });
+          const ages = [tables.ago(8, 10), tables.ago(0, 10)];
+          const lost = document.querySelector("#counts li:last-child").textContent;
           const alarms = [...document.querySelectorAll("#alarms span")];
           const texts = alarms.slice(0, 2).map((one) => one.textContent);
-          return [texts, spoken(7190), spoken(89.6), degrees(-0.004), degrees(-Math.PI / 2)];
+          const edges = [spoken(7190), spoken(89.6), degrees(-0.004), degrees(-Math.PI / 2)];
+          return [lost, ages, texts, ...edges];
         }"""
     )
+    assert said.pop(0) == "1 message or picture lost"
+    assert said.pop(0) == ["2 s ago", "not for 6 s"]  # what was before its start no page knows
     assert said == [["a: down", "b: slow"], "2 h 0 min", "2 min", "0°", "270°"]
 
 
@@ -274,6 +282,9 @@ def test_it_comes_back_by_itself_when_the_server_does(
         port = desk.port
     page.wait_for_selector("body.cut")
     assert "no news from the board's server" in page.locator("#link").inner_text()
+    page.wait_for_selector("#alarms .error")  # not «All is well.»
+    assert "no news from the board's server" in page.locator("#alarms").inner_text()
+    assert "no news from the board's server" in page.title()
     with served_board(lab, monkeypatch, port=port) as desk, published(desk, lab):
         page.wait_for_selector("body:not(.cut)")
         expect(page.locator("#link")).to_have_text("live", timeout=PATIENCE_MS)
@@ -349,8 +360,10 @@ def test_a_new_map_is_asked_for_twice(browser: Browser, monkeypatch: pytest.Monk
         assert asked == []
         begin.click()
         go.click()
+        page.locator("#answer").press("Enter")  # without the name
+        assert asked == []
         page.locator("#answer").fill("lab")
-        go.click()
+        page.locator("#answer").press("Enter")
         expect(page.locator("#asked")).to_have_text("A new map begins.")
         assert asked == [1]
         assert said == []

@@ -14,7 +14,11 @@ def test_what_is_not_nothing_does_not_read_so(value: float, text: str) -> None:
 
 
 def test_losses_are_said_in_words() -> None:
-    assert loss_words({"pictures": 1, "given_up": 3, "frozen": 0}) == "1 picture, 3 given up"
+    said = loss_words({"pictures": 1, "given_up": 3, "frozen": 0, "unreadable": 1})
+    assert said == "1 picture, 3 pictures given up, 1 picture unreadable"
+    assert (
+        loss_words({"serial_frames_missing": 1, "unsent": 2}) == "1 serial frame missing, 2 unsent"
+    )
     assert loss_words({"pictures": 0}) == ""
 
 

@@ -14,6 +14,7 @@ from trigpoint.contract.messages import Diagnostics, DiagnosticStatus
 from trigpoint.metrics.families import families
 from trigpoint.metrics.table import EVERY, METRICS, OTHERS, Metric, metric_of
 from trigpoint.node.health import Health, Level
+from trigpoint.robot.gate.safety import Refusal
 
 ROOT = Path(__file__).parents[4]
 CALL = re.compile(r"\.(count|lose|gauge|observe)\(\s*f?\"([^\"]+)\"")
@@ -66,7 +67,7 @@ def test_a_cameras_counters_have_names_units_and_labels() -> None:
         "trigpoint_report_timestamp_seconds": (who, 5.0),
         "trigpoint_pictures_total": (who, 7.0),
         "trigpoint_pictures_skipped_total": (who, 2.0),
-        "trigpoint_pictures_unusable_total": (who | {"reason": "frozen"}, 3.0),
+        "trigpoint_pictures_unusable_total": (who | {"reason": "out_of_order"}, 0.0),
         "trigpoint_certificate_left_seconds": (who, 43200.0),
         "trigpoint_source_state": (who | {"state": "running"}, 1.0),
         "trigpoint_sent_total": (who | {"key": "lab/camera/c1/sightings"}, 6.0),
@@ -138,6 +139,18 @@ def test_every_row_is_read_by_prometheus_in_both_of_its_formats() -> None:
     assert {f.name: f.type for f in openmetrics_families(text)} == wanted
 
 
+def test_whatever_a_robot_may_refuse_begins_at_nothing() -> None:
+    page = generate_latest(registry_of({"robot/r1": {}})).decode()
+    (refused,) = (
+        family
+        for family in text_string_to_metric_families(page)
+        if family.name == "trigpoint_corrections_refused"
+    )
+    found = {one.labels["reason"]: one.value for one in refused.samples}
+    reasons = {*Refusal, "not_connected", "by_robot"} - {Refusal.WAITING}
+    assert found == dict.fromkeys(reasons, 0.0)
+
+
 def counted() -> list[tuple[str, str]]:
     """(kind, value) of everything that the parts' code counts, loses or gauges by name."""
     found = []
@@ -158,7 +171,13 @@ def counted() -> list[tuple[str, str]]:
 def test_every_counter_and_gauge_of_the_parts_has_a_metric_of_its_own() -> None:
     values = counted()
     assert ("robot", "corrections_refused_x.lost") in values  # the search finds them
-    assert [value for kind, value in values if metric_of(kind, value)[0] in OTHERS] == []
+    rows = {
+        (kind, re.sub(r"\{[^}]*\}", "x", row.value))
+        for kind, them in METRICS.items()
+        for row in them
+    }
+    unnamed = {value for value in values if metric_of(*value)[0] in OTHERS}
+    assert unnamed <= rows
 
 
 def test_names_follow_prometheus_and_are_each_others_only() -> None:

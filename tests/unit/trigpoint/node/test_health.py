@@ -32,6 +32,17 @@ def test_loss_makes_a_warning_for_a_while() -> None:
     assert (report.level, report.values["odometry.lost"]) == (Level.OK, "3")
 
 
+def test_a_loss_that_is_counted_from_nothing_on_is_no_new_one() -> None:
+    clock = ManualClock()
+    health = Health(clock)
+    health.lose("file a", 3)
+    assert health.report().level is Level.WARN
+    clock.advance(60.0)
+    health.lose("file b", 0)
+    report = health.report()
+    assert (report.level, report.values["file b.lost"]) == (Level.OK, "0")
+
+
 def test_failure_makes_an_error_for_a_while_and_stays_readable() -> None:
     clock = ManualClock()
     health = Health(clock)

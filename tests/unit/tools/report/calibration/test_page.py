@@ -7,6 +7,8 @@ import msgspec
 import numpy as np
 import pytest
 from msgspec.structs import replace
+from playwright.sync_api import Browser
+from support.browser import browser, chromium, is_patient, needs_chromium, opened
 from support.commands import Cli
 from support.fusion.drives import (
     CameraPlan,
@@ -42,6 +44,7 @@ from trigpoint.tools.report.calibration.facts import (
 from trigpoint.tools.report.calibration.page import calibration_page
 from trigpoint.tools.report.calibration.tables import used_table
 
+__all__ = ["browser", "chromium"]  # the fixtures
 LENS = CameraModel(640, 480, 500.0, 501.0, 320.0, 240.0, (-0.2, 0.05, 1e-3, 0.0, 0.0))
 EYE = looking_at((2.0, 0.0, 1.6), (0.0, 0.0, 0.6))
 
@@ -263,3 +266,18 @@ def test_a_floor_plan_lies_under_the_map_within_the_page() -> None:
     text = words(page)
     assert "The map in hall: (10.000, 10.000, 0.000) m" in text
     assert "dock is not located" in text
+
+
+@is_patient
+@needs_chromium
+def test_numbers_with_long_words_stand_in_three_columns_on_paper(
+    browser: Browser, tmp_path: Path
+) -> None:
+    """In six, each as narrow as a word, they took a page."""
+    noise = tuple(f"c{number}: 1.8 times the stated sigma of corners" for number in range(6))
+    path = tmp_path / "report.html"
+    path.write_text(calibration_page(make_results(noise=noise)), encoding="utf-8")
+    page, _ = opened(browser, path.as_uri(), viewport={"width": 720, "height": 900})
+    page.emulate_media(media="print")
+    boxes = [box for tile in page.locator(".tile").all() if (box := tile.bounding_box())]
+    assert [box["y"] == boxes[0]["y"] for box in boxes[:4]] == [True, True, True, False]

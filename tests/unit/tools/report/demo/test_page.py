@@ -15,6 +15,7 @@ from support.pages import PageReader, read_page
 
 from trigpoint.geometry import Pose
 from trigpoint.tools.pages.plan import Plan, suggestion_marks
+from trigpoint.tools.report.demo.charts import latency_chart
 from trigpoint.tools.report.demo.page import network_map, report_page
 from trigpoint.tools.report.demo.results import DemoResults, Track
 
@@ -130,3 +131,20 @@ def test_marks_of_one_place_are_one_disc_with_a_nose_for_each_way_to_look() -> N
     assert ">1, 3<" in both
     assert both.count("<polygon") == 2
     assert ">2<" in alone
+
+
+def test_the_line_of_a_quantile_crosses_no_other_ones_words() -> None:
+    chart = latency_chart(make_results(latencies_s=np.linspace(0.019, 0.021, 99)))
+    lines = re.findall(r'<line[^>]*y1="([\d.]+)"[^>]*class="mark"', chart)
+    words = re.findall(r'<text[^>]* y="([\d.]+)"[^>]*mark-text', chart)
+    assert len(lines) == len(words) == 2
+    assert float(lines[1]) > float(words[0])
+
+
+def test_the_last_number_of_an_axis_is_not_cut() -> None:
+    chart = latency_chart(make_results(latencies_s=np.linspace(0.1, 1.5, 99)))
+    width = re.search(r'viewBox="0 0 ([\d.]+)', chart)
+    ticks = re.findall(r'<text x="([\d.]+)"[^>]*class="tick middle[^>]*>(\d+)<', chart)
+    assert width is not None
+    assert ticks[-1][1] == "2000"
+    assert float(ticks[-1][0]) + 4 * 10 / 2 < float(width[1])  # a digit is 10 wide on a phone
