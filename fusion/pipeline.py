@@ -381,7 +381,8 @@ class Pipeline:
         results = self.reports.results()
         if self._fixed is None:
             results = replace(results, network=self.arrivals.explained(results.network))
-        return results
+        why = self.arrivals.contradicted
+        return results.unlocated(why) if why else results
 
     def guidance_world(self) -> GuidanceWorld | None:
         """A copy of what is known, for guidance; None where that is too little, or not told."""

@@ -132,20 +132,20 @@ class Arrivals:
 
     @property
     def contradicted(self) -> str:
-        """Why located cameras are elsewhere: robots' odometry that they contradict, or a target, or
-        lenses that are not theirs; "" where nothing is known against them."""
+        """Why no camera is where it seems: robots' odometry that they contradict, or a target, or
+        lenses that are not theirs; "" where nothing is known against that."""
         causes = list[str]()
         if robots := ", ".join(sorted(self.odometry.otherwise)):
             causes.append(
-                f"what they saw contradicts the odometry of {robots} as it is read, or the target "
-                "file"
+                f"what cameras saw contradicts the odometry of {robots} as it is read, or the "
+                "target file"
             )
         if any(lens.is_harmful for lens in self.lenses.values()):
             causes.append(
-                "they are farther off than their sigmas, since pictures do not fit the lens of "
+                "cameras are farther off than their sigmas, since pictures do not fit the lens of "
                 f"{', '.join(sorted(self.lenses))}"
             )
-        return "; and ".join(causes)
+        return f"position and orientation: {'; and '.join(causes)}" if causes else ""
 
     @property
     def apart(self) -> dict[str, str]:

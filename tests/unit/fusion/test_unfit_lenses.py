@@ -10,6 +10,7 @@ from support.commands import Cli
 from support.fusion.drives import Plan, lab_plan, make_session, pushed, write_session
 
 from trigpoint.geometry import CameraModel
+from trigpoint.map.network import load_network
 
 Change = Callable[[CameraModel], CameraModel]
 
@@ -74,7 +75,9 @@ def test_calibrate_gives_no_cameras_that_rest_on_other_lenses(tmp_path: Path, cl
     assert re.search(
         r"c1: its pictures do not fit its lens: .* longer fits; calibrate it", said.err
     )
-    assert re.search(r"do not use these cameras: .*the lens of c1;", said.err)
+    assert "no camera could be located" in said.err
+    assert re.search(r"c2 is not determined: .*since pictures do not fit the lens of c1", said.out)
+    assert load_network(tmp_path / "calibration").located == []
     page = (tmp_path / "calibration" / "report.html").read_text()
-    assert "<h1>Do not use these cameras</h1>" in page
+    assert "<h1>No camera could be located</h1>" in page
     assert page.index("do not fit its lens") < page.index("cameras located")
