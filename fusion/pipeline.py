@@ -359,7 +359,7 @@ class Pipeline:
             self._explain_all()
         if not self._is_live:
             self.arrivals.odometry.otherwise = otherwise(self._data)
-            self.arrivals.lenses = self._estimator.unfit_lenses()
+            self.arrivals.unfit = self._estimator.unfit_inputs()
         self._left_out.take_from(self._data)
         self._take_cameras(self._data.last_ns, is_urgent=True)
         self._outputs += self._cameras.rest()

@@ -125,7 +125,7 @@ def _retold(data: DataSet, robot: str, every: list[Observation]) -> dict[str, Od
         return found
     by = shown.longer(track)
     if abs(math.log(by)) > math.log(_OTHER_LENGTHS):
-        found[_lengths(by)] = track.retold(np.diag([1 / by] * 3 + [1.0] * 3))
+        found[other_lengths(by)] = track.retold(np.diag([1 / by] * 3 + [1.0] * 3))
     misfits = {words: shown.misfit(each) for words, each in found.items()}
     most = _ROUGH + _MUCH_WORSE * shown.misfit(track)
     return {
@@ -135,15 +135,25 @@ def _retold(data: DataSet, robot: str, every: list[Observation]) -> dict[str, Od
     }
 
 
-def _lengths(by: float) -> str:
+def other_lengths(by: float) -> str:
     """That odometry tells lengths so many times as long as they are seen, and what that may be."""
     hints = {_FEET: " (feet, 3.28?)", _DIAMETERS: " (diameters for radii of wheels, 2?)"}
     hint = next((words for of, words in hints.items() if abs(by / of - 1) < _NEAR), "")
+    if abs(math.log(by)) < math.log(_OTHER_LENGTHS):
+        hint = " (a wheel's radius? distance_scale = 0.1 has that learnt)"
     odometry, target = ("long", "short") if by > 1 else ("short", "long")
     times = f"{max(by, 1 / by):.3g} times too"
     return (
         f"its lengths are told {times} {odometry}{hint}, or those in its target file are {times} "
         f"{target} for what was printed"
+    )
+
+
+def other_turns(by: float) -> str:
+    """That odometry tells turns so many times as large as they are seen, and what that may be."""
+    return (
+        f"its turns are told {max(by, 1 / by):.3g} times too {'large' if by > 1 else 'small'} (the "
+        "wheels' distance? heading_scale = 0.1 has that learnt)"
     )
 
 

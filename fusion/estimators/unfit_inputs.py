@@ -1,10 +1,10 @@
-"""Given lenses that the pictures contradict.
+"""Given lenses, and scales of odometry, that the pictures contradict.
 
-A lens that is not the camera's bends the map so that its pictures fit about: they are said to be
-noisy, and cameras are sure of wrong places. So a solution is asked whether another lens would fit
-better than chance allows: its equations, with a lens to be estimated for each camera, say by how
-much χ² would fall if that were free (score test: Rao, 1948). What else a file may have wrong is
-free, too: odometry that is longer than it is told, faces that are mounted otherwise.
+A lens that is not the camera's bends the map so that its pictures fit about, as odometry does that
+is longer than it is told: pictures or odometry are said to be noisy, and cameras are sure of wrong
+places. So a solution is asked whether others would fit better than chance allows: its equations,
+with a lens to be estimated for each camera and scales for each robot, say by how much χ² would fall
+if one were free (score test: Rao, 1948). Faces that are mounted otherwise are free, too.
 """
 
 from collections import defaultdict
@@ -14,6 +14,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from trigpoint.fusion.association.events import EVIDENCE
+from trigpoint.fusion.association.other_odometry import other_lengths, other_turns
 from trigpoint.fusion.model.assembly import lens_sigmas
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.problem import Priors, Problem, State, layout_of
@@ -30,38 +31,60 @@ _SCALE_SIGMA, _MOUNT_SIGMA = 0.1, 0.02
 # Of a lens's parameters.
 _WHOLE, _FOCAL, _CENTRE, _DISTORTION = slice(None), slice(2), slice(2, 4), slice(4, None)
 _PARTS = _FOCAL, _CENTRE, _DISTORTION
+# Of a robot's scales: distance and heading.
+_SCALES = (slice(1), other_lengths), (slice(1, 2), other_turns)
 
 
-class UnfitLens(Struct, frozen=True):
-    """What of a lens the pictures contradict, in `words`, and whether it is the cause that a camera
-    is farther from its place than its sigma says (`is_harmful`)."""
+class Unfit(Struct, frozen=True):
+    """What fits of what was given, in `words`, and whether it is the cause that a camera is farther
+    from its place than its sigma says (`is_harmful`)."""
 
     words: str
     is_harmful: bool
 
 
-def unfit_lenses(
+class UnfitInputs(Struct, frozen=True):
+    """`lenses`: camera -> what fits its pictures in place of the lens that is given; `scales`:
+    robot -> how its odometry tells ways, or turns."""
+
+    lenses: dict[str, Unfit] = {}
+    scales: dict[str, Unfit] = {}
+
+
+def unfit_inputs(
     data: DataSet, problem: Problem, state: State, reduced: Reduced, scale: float
-) -> dict[str, UnfitLens]:
-    """Camera -> what its pictures have against the lens that is given. `reduced`: of the problem at
-    `state`, its minimum; `scale`: χ² per degree of freedom there, by which all else is off. Raises
-    LinAlgError where an unknown is not determined."""
+) -> UnfitInputs:
+    """What was given and does not fit. `reduced`: of the problem at `state`, its minimum; `scale`:
+    χ² per degree of freedom there, by which all else is off. Raises LinAlgError where an unknown is
+    not determined."""
     seen = {problem.priors.owners[batch.camera] for batch in problem.batches}
     given = [name for name in problem.layout.pose if name in seen - problem.priors.lens.keys()]
-    if not given:
-        return {}
     problem = _freed(data, problem, state, given)
     change = _Change(linearise(problem, state).reduced(), problem.priors, max(1.0, scale))
-    limit, found = EVIDENCE / len(given), dict[str, str]()
+    lenses, scales = _lenses(change, state, given), dict[str, Unfit]()
+    harm = bool(lenses) and _is_harmful(data, change.shifts(list(lenses)), reduced)
+    for robot in problem.chains:
+        part, words = max(_SCALES, key=lambda each: change.chi2([robot], each[0]))
+        if change.chi2([robot], part) > chi2_limit(1, EVIDENCE / len(problem.chains) / 2):
+            by = 1 / (1 + state.robots[robot].scales + change.step([robot]))
+            is_harmful = _is_harmful(data, change.shifts([robot], part), reduced)
+            scales[robot] = Unfit(words(float(by[part][0])), is_harmful)
+    return UnfitInputs(
+        {data.site_camera(name): Unfit(words, harm) for name, words in lenses.items()}, scales
+    )
+
+
+def _lenses(change: "_Change", state: State, given: list[str]) -> dict[str, str]:
+    """Camera -> what of its lens does not fit, in words."""
+    limit, found = EVIDENCE / max(1, len(given)), dict[str, str]()
     for names in _by_model(state, given):
         each = {name: change.chi2([name]) for name in names}
-        beyond = chi2_limit(len(change.layout.lens[names[0]]), limit)
+        beyond = chi2_limit(len(change.columns[names[0]]), limit)
         if change.chi2(names) > max(beyond, *each.values()):  # the fault is common to all
             found |= dict.fromkeys(names, change.words(names))
         else:
             found |= {name: change.words([name]) for name in names if each[name] > beyond}
-    harm = bool(found) and _is_harmful(data, change.shifts(list(found)), reduced)
-    return {data.site_camera(name): UnfitLens(words, harm) for name, words in found.items()}
+    return found
 
 
 def _by_model(state: State, cameras: list[str]) -> list[list[str]]:
@@ -73,24 +96,30 @@ def _by_model(state: State, cameras: list[str]) -> list[list[str]]:
 
 
 class _Change:
-    """What would change of all unknowns if lenses were free; a χ² by so many times smaller as all
-    else is off, the `scale`."""
+    """What would change of all unknowns if lenses, or scales, were free; a χ² by so many times
+    smaller as all else is off, the `scale`. `columns`: of each camera's lens and robot's scales."""
 
     def __init__(self, freed: Reduced, priors: Priors, scale: float) -> None:
-        self.layout, self._lenses, self._scale = freed.layout, priors.lens, scale
+        self._poses, self._lenses, self._scale = freed.layout.pose, priors.lens, scale
+        self.columns = freed.layout.lens | freed.layout.scales
+        self._units = {name: sigmas for name, (_, sigmas) in priors.lens.items()}
+        self._units |= dict.fromkeys(priors.scales, np.full(2, _SCALE_SIGMA))
         self._covariance = freed.covariance()
         self._step = -self._covariance @ freed.gradient
 
-    def chi2(self, cameras: list[str], part: slice = _WHOLE) -> float:
-        """By how much χ² falls if this part of the cameras' lenses changes, of all alike."""
-        step, information = self._alike(cameras, part)
+    def chi2(self, names: list[str], part: slice = _WHOLE) -> float:
+        """By how much χ² falls if this part of lenses, or scales, changes, of all alike."""
+        step, information = self._alike(names, part)
         return float(step @ information @ step) / self._scale
+
+    def step(self, names: list[str]) -> Array:
+        """By how much lenses, or scales, change, all alike (k,)."""
+        return self._alike(names, _WHOLE)[0] * self._units[names[0]]
 
     def words(self, cameras: list[str]) -> str:
         """What of the cameras' lenses changes most."""
         part = max(_PARTS, key=lambda part: self.chi2(cameras, part))
-        (first, sigmas), (step, _) = self._lenses[cameras[0]], self._alike(cameras, _WHOLE)
-        step = step[part] * sigmas[part]
+        first, step = self._lenses[cameras[0]][0], self.step(cameras)[part]
         if part == _FOCAL:
             ratio = float(np.mean(step / first[part]))
             side = "longer" if ratio > 0 else "shorter"
@@ -99,17 +128,17 @@ class _Change:
             return f"a principal point about {np.hypot(*step):.2g} px off fits"
         return "other distortion coefficients fit"
 
-    def shifts(self, cameras: list[str]) -> dict[str, Array]:
-        """By how much each camera's pose (6,) is off because of these cameras' lenses."""
-        rows = np.concatenate([self.layout.lens[name] for name in cameras])
+    def shifts(self, names: list[str], part: slice = _WHOLE) -> dict[str, Array]:
+        """By how much each camera's pose (6,) is off because of this part of lenses, or scales."""
+        rows = np.concatenate([self.columns[name][part] for name in names])
         pull = np.linalg.solve(self._covariance[np.ix_(rows, rows)], self._step[rows])
-        poses = self.layout.pose.items()
+        poses = self._poses.items()
         return {name: self._covariance[np.ix_(mine, rows)] @ pull for name, mine in poses}
 
-    def _alike(self, cameras: list[str], part: slice) -> tuple[Array, Array]:
-        """The common step (k,) of a part of lenses, in the priors' sigmas, and its information."""
-        rows = np.concatenate([self.layout.lens[name][part] for name in cameras])
-        units = np.concatenate([np.diag(self._lenses[name][1][part]) for name in cameras])
+    def _alike(self, names: list[str], part: slice) -> tuple[Array, Array]:
+        """The common step (k,) of a part of lenses, or scales, in units, and its information."""
+        rows = np.concatenate([self.columns[name][part] for name in names])
+        units = np.concatenate([np.diag(self._units[name][part]) for name in names])
         pull = np.linalg.solve(self._covariance[np.ix_(rows, rows)], units)
         information = units.T @ pull
         return np.linalg.solve(information, pull.T @ self._step[rows]), information
@@ -132,12 +161,15 @@ def _freed(data: DataSet, problem: Problem, state: State, cameras: list[str]) ->
         lens = state.cameras[name].lens
         config = data.site.cameras[data.site_camera(name)]
         lenses[name] = lens.parameters, lens_sigmas(config, lens)
-    scales = {robot: np.full(2, _SCALE_SIGMA) for robot in problem.chains}
+    scales = {
+        robot: np.maximum(_SCALE_SIGMA, priors.scales.get(robot, np.zeros(2)))
+        for robot in problem.chains
+    }
     faces = {
         robot: (state.robots[robot].base_from_face, _MOUNT_SIGMA, _MOUNT_SIGMA)
         for robot in problem.chains
     }
-    scales, faces = scales | priors.scales, faces | priors.faces
+    faces |= priors.faces
     priors = replace(priors, lens=lenses, scales=scales, faces=faces)
     layout = layout_of(list(problem.layout.pose), problem.chains, priors, state)
     return replace(problem, priors=priors, layout=layout)

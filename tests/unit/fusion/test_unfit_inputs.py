@@ -1,4 +1,5 @@
-"""A lens that is not the camera's is said; one that is its own is not, whatever else is wrong."""
+"""A lens that is not the camera's is said, and odometry of other lengths; what is as it is told is
+not said, whatever else is wrong."""
 
 import re
 from collections.abc import Callable
@@ -48,7 +49,7 @@ def larger(lens: CameraModel) -> CameraModel:
 )
 def test_a_lens_that_is_not_the_cameras_is_said(change: Change, cameras: str, words: str) -> None:
     session = make_session(told(lab_plan(picture_rate=1.0), change, *cameras.split()))
-    found = pushed(session.inputs, session.messages).arrivals.lenses
+    found = pushed(session.inputs, session.messages).arrivals.unfit.lenses
     assert sorted(found) == cameras.split()
     assert all(re.fullmatch(words, lens.words) for lens in found.values())
     assert all(lens.is_harmful for lens in found.values())
@@ -58,15 +59,38 @@ def test_what_else_is_wrong_is_no_lens() -> None:
     plan = lab_plan(picture_rate=1.0)
     (robot,), cameras = plan.robots.values(), plan.cameras
     late = {name: replace(camera, time_offset_s=0.1) for name, camera in cameras.items()}
-    for other in (
-        plan,
-        replace(plan, robots={"r1": replace(robot, scales=(0.1, 0.0))}),
-        replace(plan, robots={"r1": replace(robot, scales=(0.05, -0.05))}),
-        replace(plan, stated=0.05),
-        replace(plan, cameras=late),
+    for other, is_scaled in (
+        (plan, False),
+        (replace(plan, robots={"r1": replace(robot, scales=(0.1, 0.0))}), True),
+        (replace(plan, robots={"r1": replace(robot, scales=(0.05, -0.05))}), True),
+        (replace(plan, stated=0.05), False),
+        (replace(plan, cameras=late), False),
     ):
         session = make_session(other)
-        assert not pushed(session.inputs, session.messages).arrivals.lenses
+        unfit = pushed(session.inputs, session.messages).arrivals.unfit
+        assert not unfit.lenses
+        assert bool(unfit.scales) is is_scaled
+
+
+@pytest.mark.parametrize(
+    ("scale", "words"), [(0.1, r"1\.1 times too short"), (-0.1, r"1\.11 times too long")]
+)
+def test_odometry_of_other_lengths_is_said_until_it_is_to_be_learnt(
+    scale: float, words: str, tmp_path: Path, cli: Cli
+) -> None:
+    plan = lab_plan(picture_rate=1.0)
+    robot = replace(plan.robots["r1"], scales=(scale, 0.0))
+    session = make_session(replace(plan, robots={"r1": robot}))
+    said = cli("calibrate", write_session(session, tmp_path / "a"), status=1)
+    assert re.search(rf"r1: what cameras saw fits .* its lengths are told {words}", said.err)
+    assert load_network(tmp_path / "a" / "calibration").located == []
+
+    noise = replace(robot.noise, distance_scale=0.1)  # what is said to be written
+    learnt = replace(plan, robots={"r1": replace(robot, noise=noise)})
+    session = replace(session, inputs=make_session(learnt).inputs)
+    said = cli("calibrate", write_session(session, tmp_path / "b"))
+    assert said.err == ""
+    assert load_network(tmp_path / "b" / "calibration").located == ["c1", "c2", "c3"]
 
 
 def test_calibrate_gives_no_cameras_that_rest_on_other_lenses(tmp_path: Path, cli: Cli) -> None:
