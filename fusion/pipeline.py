@@ -358,7 +358,8 @@ class Pipeline:
             self._use_rest()
             self._explain_all()
         if not self._is_live:
-            self.arrivals.odometry.otherwise = otherwise(self._data)
+            if not self.arrivals.clocks:
+                self.arrivals.odometry.otherwise = otherwise(self._data)
             self.arrivals.unfit = self._estimator.unfit_inputs()
         self._left_out.take_from(self._data)
         self._take_cameras(self._data.last_ns, is_urgent=True)

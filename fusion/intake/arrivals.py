@@ -137,9 +137,12 @@ class Arrivals:
 
     @property
     def contradicted(self) -> str:
-        """Why no camera is where it seems: robots' odometry that they contradict, or a target, or
-        lenses that are not theirs; "" where nothing is known against that."""
+        """Why no camera is where it seems: clocks that are apart, robots' odometry that they
+        contradict, or a target, or lenses that are not theirs; "" where nothing is known against
+        that."""
         causes = list[str]()
+        if cameras := ", ".join(sorted(self.clocks)):
+            causes.append(f"pictures of {cameras} and odometry are stamped by two clocks")
         harmful = [name for name, each in self.unfit.scales.items() if each.is_harmful]
         if robots := ", ".join(sorted({*self.odometry.otherwise, *harmful})):
             causes.append(
