@@ -13,6 +13,7 @@ from trigpoint.base.clock import to_ns
 from trigpoint.contract.messages import CameraInfo, Diagnostics, Message, Odometry, Sightings
 from trigpoint.contract.nudge import nudges_in
 
+from .association.other_lenses import other_lenses
 from .association.other_odometry import otherwise
 from .camera_announcements import CameraAnnouncements
 from .estimating import estimating
@@ -358,9 +359,11 @@ class Pipeline:
             self._use_rest()
             self._explain_all()
         if not self._is_live:
+            unfit = self.arrivals.unfit = self._estimator.unfit_inputs()
             if not self.arrivals.clocks:
                 self.arrivals.odometry.otherwise = otherwise(self._data)
-            self.arrivals.unfit = self._estimator.unfit_inputs()
+            if not (self.arrivals.clocks or self.arrivals.odometry.otherwise or unfit.scales):
+                self.arrivals.unfit = unfit.with_lenses(other_lenses(self._data))
         self._left_out.take_from(self._data)
         self._take_cameras(self._data.last_ns, is_urgent=True)
         self._outputs += self._cameras.rest()

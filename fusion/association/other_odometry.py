@@ -32,9 +32,9 @@ from .world import World
 # those with the most pictures.
 _SHARE, _MOST_VISITS = 0.1, 12
 # Each of two explanations may be off by as much as decides.
-_CLEAR = 2 * window()
+CLEAR = 2 * window()
 # Of the sightings: more that contradict the rest are not only wrong ones.
-_MOST_REJECTED = 0.1
+MOST_REJECTED = 0.1
 _MIRROR = np.diag([1.0, -1, 1, -1, 1, -1])
 """The twist (6,) of the mirrored drive by that of a drive."""
 _BACKWARDS = np.diag([-1.0, -1, 1, 1, 1, 1])
@@ -80,9 +80,9 @@ def otherwise(data: DataSet) -> dict[str, str]:
     explanation; where that shows nothing strange, none is questioned."""
     every = [entry.observation for entry in data.entries]
     rejected = sum(observation.verdict is Verdict.REJECTED for observation in every)
-    if not data.changes and rejected <= _MOST_REJECTED * len(every):
+    if not data.changes and rejected <= MOST_REJECTED * len(every):
         return {}
-    every = [_fresh(data, each) for each in every]
+    every = [as_it_came(data, each) for each in every]
     every.sort(key=lambda observation: observation.stamp_ns)
     draft = data.draft()
     ways = {
@@ -95,19 +95,19 @@ def otherwise(data: DataSet) -> dict[str, str]:
     # The same share for each, so that the last robot is not left without.
     budget = Budget.of(data.tracks.values(), share=_SHARE / (1 + len(ways)))
     memory = Memory(replace(budget))
-    told = _score(draft, every, memory)
+    told = score_of(draft, every, memory)
     if not np.isfinite(told):
         return {}
     found = dict[str, str]()
     for robot, tracks in ways.items():
         mine = Memory(replace(budget), memory.alone)
         scores = {
-            words: _score(replace(draft, tracks=draft.tracks | {robot: track}), every, mine)
+            words: score_of(replace(draft, tracks=draft.tracks | {robot: track}), every, mine)
             for words, track in tracks.items()
         }
         best = min(scores.values())
-        if best + _CLEAR < told:
-            found[robot] = ", or ".join(w for w, score in scores.items() if score < best + _CLEAR)
+        if best + CLEAR < told:
+            found[robot] = ", or ".join(w for w, score in scores.items() if score < best + CLEAR)
     return found
 
 
@@ -157,13 +157,13 @@ def other_turns(by: float) -> str:
     )
 
 
-def _fresh(data: DataSet, seen: Observation) -> Observation:
+def as_it_came(data: DataSet, seen: Observation) -> Observation:
     """An observation without what was concluded of it."""
     camera = data.site_camera(seen.camera)
     return replace(seen, camera=camera, chosen=None, verdict=Verdict.PENDING, outliers=())
 
 
-def _score(data: DataSet, observations: list[Observation], memory: Memory) -> float:
+def score_of(data: DataSet, observations: list[Observation], memory: Memory) -> float:
     """The score of what explains observations best, inf where the budget does not suffice;
     `memory`: of which only that and what holds for any odometry is used."""
     events = Events(data.site.fusion.priors)

@@ -50,6 +50,11 @@ class UnfitInputs(Struct, frozen=True):
     lenses: dict[str, Unfit] = {}
     scales: dict[str, Unfit] = {}
 
+    def with_lenses(self, cameras: list[str]) -> "UnfitInputs":
+        """The same where these cameras' pictures are known to fit another lens far better."""
+        found = dict.fromkeys(cameras, Unfit("another one fits far better", is_harmful=True))
+        return replace(self, lenses=found | self.lenses)
+
 
 def unfit_inputs(
     data: DataSet, problem: Problem, state: State, reduced: Reduced, scale: float

@@ -10,6 +10,7 @@ from msgspec.structs import replace
 from support.commands import Cli
 from support.fusion.drives import Plan, lab_plan, make_session, pushed, write_session
 
+from trigpoint.contract.messages import Sightings
 from trigpoint.geometry import CameraModel
 from trigpoint.map.network import load_network
 
@@ -91,6 +92,31 @@ def test_odometry_of_other_lengths_is_said_until_it_is_to_be_learnt(
     said = cli("calibrate", write_session(session, tmp_path / "b"))
     assert said.err == ""
     assert load_network(tmp_path / "b" / "calibration").located == ["c1", "c2", "c3"]
+
+
+@pytest.mark.parametrize("change", [longer(0.93), longer(1.1)])
+def test_a_lens_is_said_also_where_what_contradicts_it_is_rejected(change: Change) -> None:
+    sparse = lab_plan(picture_rate=0.2)
+    for plan, wrong in ((sparse, []), (told(sparse, change, "c1"), ["c1"])):
+        session = make_session(plan)
+        pipeline = pushed(session.inputs, session.messages)
+        assert list(pipeline.arrivals.unfit.lenses) == wrong
+        assert bool(pipeline.results().network.located) is not bool(wrong)
+
+
+def test_a_wrong_sighting_is_no_lens() -> None:
+    session = make_session(lab_plan(picture_rate=0.3))
+    messages = list(session.messages)
+    at, seen = next(
+        (at, message)
+        for at, (node, message) in enumerate(messages)
+        if isinstance(message, Sightings) and node == "c1" and len(message.faces) > 1
+    )
+    first, *others = seen.faces
+    messages[at] = "c1", replace(seen, faces=(replace(first, pixels=first.pixels + 15), *others))
+    pipeline = pushed(session.inputs, tuple(messages))
+    assert pipeline.results().network.cameras["c1"].rejected == 1
+    assert not pipeline.arrivals.unfit.lenses
 
 
 def test_calibrate_gives_no_cameras_that_rest_on_other_lenses(tmp_path: Path, cli: Cli) -> None:
