@@ -24,8 +24,8 @@ from trigpoint.geometry.camera import LensModel
 from trigpoint.geometry.chi_square import chi2_limit
 from trigpoint.geometry.rotation import Array
 
-# The χ² of a pose (6,) that its covariance allows with one in a hundred.
-_BEYOND = chi2_limit(6, 1e-2)
+# The χ² of a pose (6,) beyond which its covariance is not true: what is off by more has no place.
+_BEYOND = chi2_limit(6, EVIDENCE)
 # Prior sigmas of what a site file takes as known: odometry's scales, and faces' mounting (m, rad).
 _SCALE_SIGMA, _MOUNT_SIGMA = 0.1, 0.02
 # Of a lens's parameters.
