@@ -64,7 +64,10 @@ def load_known(path: Path, site: Site) -> KnownCameras:
     joint = load_covariance(path, network)
     known = known_cameras(network, joint, site.cameras, creep=Creep.of_all(site.cameras))
     if not known.poses:
-        raise InputError(f"{path}: locates none of this site's cameras; check the names")
+        raise InputError(
+            f"{path}: locates none of this site's cameras; check the names, and what the "
+            "calibration that wrote it said"
+        )
     return known
 
 

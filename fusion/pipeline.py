@@ -13,6 +13,7 @@ from trigpoint.base.clock import to_ns
 from trigpoint.contract.messages import CameraInfo, Diagnostics, Message, Odometry, Sightings
 from trigpoint.contract.nudge import nudges_in
 
+from .association.other_lenses import other_lenses
 from .association.other_odometry import otherwise
 from .camera_announcements import CameraAnnouncements
 from .estimating import estimating
@@ -358,8 +359,11 @@ class Pipeline:
             self._use_rest()
             self._explain_all()
         if not self._is_live:
-            self.arrivals.odometry.otherwise = otherwise(self._data)
-            self.arrivals.lenses = self._estimator.unfit_lenses()
+            unfit = self.arrivals.unfit = self._estimator.unfit_inputs()
+            if not self.arrivals.clocks:
+                self.arrivals.odometry.otherwise = otherwise(self._data)
+            if not (self.arrivals.clocks or self.arrivals.odometry.otherwise or unfit.scales):
+                self.arrivals.unfit = unfit.with_lenses(other_lenses(self._data))
         self._left_out.take_from(self._data)
         self._take_cameras(self._data.last_ns, is_urgent=True)
         self._outputs += self._cameras.rest()
@@ -381,7 +385,8 @@ class Pipeline:
         results = self.reports.results()
         if self._fixed is None:
             results = replace(results, network=self.arrivals.explained(results.network))
-        return results
+        why = self.arrivals.contradicted
+        return results.unlocated(why) if why else results
 
     def guidance_world(self) -> GuidanceWorld | None:
         """A copy of what is known, for guidance; None where that is too little, or not told."""

@@ -32,9 +32,9 @@ from .world import World
 # those with the most pictures.
 _SHARE, _MOST_VISITS = 0.1, 12
 # Each of two explanations may be off by as much as decides.
-_CLEAR = 2 * window()
+CLEAR = 2 * window()
 # Of the sightings: more that contradict the rest are not only wrong ones.
-_MOST_REJECTED = 0.1
+MOST_REJECTED = 0.1
 _MIRROR = np.diag([1.0, -1, 1, -1, 1, -1])
 """The twist (6,) of the mirrored drive by that of a drive."""
 _BACKWARDS = np.diag([-1.0, -1, 1, 1, 1, 1])
@@ -80,9 +80,9 @@ def otherwise(data: DataSet) -> dict[str, str]:
     explanation; where that shows nothing strange, none is questioned."""
     every = [entry.observation for entry in data.entries]
     rejected = sum(observation.verdict is Verdict.REJECTED for observation in every)
-    if not data.changes and rejected <= _MOST_REJECTED * len(every):
+    if not data.changes and rejected <= MOST_REJECTED * len(every):
         return {}
-    every = [_fresh(data, each) for each in every]
+    every = [as_it_came(data, each) for each in every]
     every.sort(key=lambda observation: observation.stamp_ns)
     draft = data.draft()
     ways = {
@@ -95,19 +95,19 @@ def otherwise(data: DataSet) -> dict[str, str]:
     # The same share for each, so that the last robot is not left without.
     budget = Budget.of(data.tracks.values(), share=_SHARE / (1 + len(ways)))
     memory = Memory(replace(budget))
-    told = _score(draft, every, memory)
+    told = score_of(draft, every, memory)
     if not np.isfinite(told):
         return {}
     found = dict[str, str]()
     for robot, tracks in ways.items():
         mine = Memory(replace(budget), memory.alone)
         scores = {
-            words: _score(replace(draft, tracks=draft.tracks | {robot: track}), every, mine)
+            words: score_of(replace(draft, tracks=draft.tracks | {robot: track}), every, mine)
             for words, track in tracks.items()
         }
         best = min(scores.values())
-        if best + _CLEAR < told:
-            found[robot] = ", or ".join(w for w, score in scores.items() if score < best + _CLEAR)
+        if best + CLEAR < told:
+            found[robot] = ", or ".join(w for w, score in scores.items() if score < best + CLEAR)
     return found
 
 
@@ -125,7 +125,7 @@ def _retold(data: DataSet, robot: str, every: list[Observation]) -> dict[str, Od
         return found
     by = shown.longer(track)
     if abs(math.log(by)) > math.log(_OTHER_LENGTHS):
-        found[_lengths(by)] = track.retold(np.diag([1 / by] * 3 + [1.0] * 3))
+        found[other_lengths(by)] = track.retold(np.diag([1 / by] * 3 + [1.0] * 3))
     misfits = {words: shown.misfit(each) for words, each in found.items()}
     most = _ROUGH + _MUCH_WORSE * shown.misfit(track)
     return {
@@ -135,10 +135,12 @@ def _retold(data: DataSet, robot: str, every: list[Observation]) -> dict[str, Od
     }
 
 
-def _lengths(by: float) -> str:
+def other_lengths(by: float) -> str:
     """That odometry tells lengths so many times as long as they are seen, and what that may be."""
     hints = {_FEET: " (feet, 3.28?)", _DIAMETERS: " (diameters for radii of wheels, 2?)"}
     hint = next((words for of, words in hints.items() if abs(by / of - 1) < _NEAR), "")
+    if abs(math.log(by)) < math.log(_OTHER_LENGTHS):
+        hint = " (a wheel's radius? distance_scale = 0.1 has that learnt)"
     odometry, target = ("long", "short") if by > 1 else ("short", "long")
     times = f"{max(by, 1 / by):.3g} times too"
     return (
@@ -147,13 +149,21 @@ def _lengths(by: float) -> str:
     )
 
 
-def _fresh(data: DataSet, seen: Observation) -> Observation:
+def other_turns(by: float) -> str:
+    """That odometry tells turns so many times as large as they are seen, and what that may be."""
+    return (
+        f"its turns are told {max(by, 1 / by):.3g} times too {'large' if by > 1 else 'small'} (the "
+        "wheels' distance? heading_scale = 0.1 has that learnt)"
+    )
+
+
+def as_it_came(data: DataSet, seen: Observation) -> Observation:
     """An observation without what was concluded of it."""
     camera = data.site_camera(seen.camera)
     return replace(seen, camera=camera, chosen=None, verdict=Verdict.PENDING, outliers=())
 
 
-def _score(data: DataSet, observations: list[Observation], memory: Memory) -> float:
+def score_of(data: DataSet, observations: list[Observation], memory: Memory) -> float:
     """The score of what explains observations best, inf where the budget does not suffice;
     `memory`: of which only that and what holds for any odometry is used."""
     events = Events(data.site.fusion.priors)

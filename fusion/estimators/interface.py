@@ -15,7 +15,7 @@ from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
 
 from .residuals import CameraResiduals
-from .unfit_lenses import UnfitLens
+from .unfit_inputs import UnfitInputs
 
 
 class CameraEstimate(Struct, frozen=True):
@@ -124,9 +124,9 @@ class Live(Protocol):
         not solve for all poses of the robot at once."""
         return None
 
-    def unfit_lenses(self) -> dict[str, UnfitLens]:
-        """Camera -> what its pictures have against the lens that is given, at the last solution."""
-        return {}
+    def unfit_inputs(self) -> UnfitInputs:
+        """What was given, and what was seen contradicts, at the last solution."""
+        return UnfitInputs()
 
 
 class Estimator(Live, Protocol):

@@ -6,6 +6,7 @@ from uuid import NAMESPACE_URL, UUID, uuid5
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from trigpoint.fusion.association.explanation import Alternative
 from trigpoint.fusion.model.dataset import DataSet, Move
@@ -40,6 +41,25 @@ class Results(Struct, frozen=True):
     trajectories: dict[str, tuple[np.ndarray, Pose]]
     noise: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
+
+    def unlocated(self, why: str) -> "Results":
+        """The same where every place of a camera is wrong, so that none is located."""
+        cameras = {
+            name: replace(
+                camera,
+                status="undetermined",
+                undetermined=(why,),
+                map_from_camera=None,
+                covariance=None,
+                earlier=(),
+            )
+            if camera.status == "located"
+            else camera
+            for name, camera in self.network.cameras.items()
+        }
+        return replace(
+            self, network=replace(self.network, cameras=cameras), covariance=np.zeros((0, 0))
+        )
 
     def save(self, directory: Path) -> None:
         """Write network.json, covariance.npz and the trajectories."""

@@ -12,7 +12,7 @@ from msgspec import Struct, structs
 from trigpoint.base.clock import to_ns, to_seconds
 from trigpoint.base.words import counted
 from trigpoint.contract.messages import Mended, Message, Odometry, Sightings
-from trigpoint.fusion.estimators.unfit_lenses import UnfitLens
+from trigpoint.fusion.estimators.unfit_inputs import UnfitInputs
 from trigpoint.fusion.model.odometry import OdometryTrack
 from trigpoint.fusion.model.readings import Readings
 from trigpoint.map.network import Network
@@ -70,7 +70,7 @@ class Arrivals:
     `misdescribed`: camera -> what its pictures show in place of the target file's boards;
     `clocks`: camera -> whose stamps lie otherwise to its own than to the times of recording;
     `unused`: camera -> why pictures of it were left out, as the pipeline says; `odometry`: what is
-    odd about that; `lenses`: camera -> what its pictures have against the lens that is given."""
+    odd about that; `unfit`: given lenses, and scales of odometry, that pictures contradict."""
 
     def __init__(self, site: Site, tracks: Mapping[str, OdometryTrack]) -> None:
         self._tracks = tracks
@@ -85,7 +85,7 @@ class Arrivals:
         self.clocks: dict[str, str] = {}
         self._exchanged: dict[str, str] = {}
         self.unused: dict[str, str] = {}
-        self.lenses: dict[str, UnfitLens] = {}
+        self.unfit = UnfitInputs()
 
     def add(self, node: str, message: Message) -> None:
         """Note a message of a camera or robot; what a robot's odometry says, by `add_odometry`."""
@@ -126,26 +126,35 @@ class Arrivals:
         lenses = [
             f"{name}: its pictures do not fit its lens: {lens.words}; calibrate it (trigpoint "
             'intrinsics), or write intrinsics = "estimate"'
-            for name, lens in self.lenses.items()
+            for name, lens in self.unfit.lenses.items()
         ]
-        return [*self.odometry.texts, *self._exchanged.values(), *described, *clocks, *lenses]
+        scales = [
+            f"robot {name}: what cameras saw fits its odometry only if {each.words}"
+            for name, each in self.unfit.scales.items()
+        ]
+        odometry = [*self.odometry.texts, *self._exchanged.values(), *scales]
+        return [*odometry, *described, *clocks, *lenses]
 
     @property
     def contradicted(self) -> str:
-        """Why located cameras are elsewhere: robots' odometry that they contradict, or a target, or
-        lenses that are not theirs; "" where nothing is known against them."""
+        """Why no camera is where it seems: clocks that are apart, robots' odometry that they
+        contradict, or a target, or lenses that are not theirs; "" where nothing is known against
+        that."""
         causes = list[str]()
-        if robots := ", ".join(sorted(self.odometry.otherwise)):
+        if cameras := ", ".join(sorted(self.clocks)):
+            causes.append(f"pictures of {cameras} and odometry are stamped by two clocks")
+        harmful = [name for name, each in self.unfit.scales.items() if each.is_harmful]
+        if robots := ", ".join(sorted({*self.odometry.otherwise, *harmful})):
             causes.append(
-                f"what they saw contradicts the odometry of {robots} as it is read, or the target "
-                "file"
+                f"what cameras saw contradicts the odometry of {robots} as it is read, or the "
+                "target file"
             )
-        if any(lens.is_harmful for lens in self.lenses.values()):
+        if any(lens.is_harmful for lens in self.unfit.lenses.values()):
             causes.append(
-                "they are farther off than their sigmas, since pictures do not fit the lens of "
-                f"{', '.join(sorted(self.lenses))}"
+                "cameras are farther off than their sigmas, since pictures do not fit the lens of "
+                f"{', '.join(sorted(self.unfit.lenses))}"
             )
-        return "; and ".join(causes)
+        return f"position and orientation: {'; and '.join(causes)}" if causes else ""
 
     @property
     def apart(self) -> dict[str, str]:

@@ -130,8 +130,8 @@ def _in_track(track: OdometryTrack) -> Iterator[str]:
     if (breaks := track.break_count) > most:
         yield (
             f"its odometry and what cameras saw agree only if it was carried {breaks} times; if "
-            f"nobody did, its odometry is wrong ({_CONVENTION}), or its target file (the faces' "
-            "places and sizes)"
+            f"nobody did, its odometry is wrong ({_CONVENTION}), or its clock is not the cameras', "
+            "or its target file (the faces' places and sizes)"
         )
 
 

@@ -28,7 +28,7 @@ from trigpoint.fusion.estimators.residuals import (
     chi2_per_dof,
     reprojection_rms_px,
 )
-from trigpoint.fusion.estimators.unfit_lenses import UnfitLens, unfit_lenses
+from trigpoint.fusion.estimators.unfit_inputs import UnfitInputs, unfit_inputs
 from trigpoint.fusion.model.dataset import CameraMove, DataSet, Entry
 from trigpoint.fusion.model.observations import Observation, Verdict
 from trigpoint.fusion.model.past import Past
@@ -277,15 +277,15 @@ class Smoother(Live):
     def residuals(self, camera: str) -> CameraResiduals:
         return camera_residuals(self.data, self._batch.problem, self._batch.state, camera)
 
-    def unfit_lenses(self) -> dict[str, UnfitLens]:
+    def unfit_inputs(self) -> UnfitInputs:
         problem, solution = self._batch.problem, self._batch.solution
         if problem is None or solution is None:
-            return {}
+            return UnfitInputs()
         scale = chi2_per_dof(problem, solution) or 1.0
         try:
-            return unfit_lenses(self.data, problem, self._batch.state, solution.reduced, scale)
-        except LinAlgError:  # what does not determine the rest tells of no lens
-            return {}
+            return unfit_inputs(self.data, problem, self._batch.state, solution.reduced, scale)
+        except LinAlgError:  # what does not determine the rest tells of nothing given
+            return UnfitInputs()
 
     @property
     def chi2_per_dof(self) -> float | None:

@@ -41,7 +41,6 @@ def calibration_page(results: CalibrationResults) -> str:
     network = results.network
     return html_page(
         f"Trigpoint calibration of {network.site}",
-        _contradicted(results),
         _undetermined(results),
         _unconfirmed(results),
         summary(results),
@@ -74,18 +73,14 @@ def _lead(results: CalibrationResults) -> str:
     )
 
 
-def _contradicted(results: CalibrationResults) -> str:
-    items = [escape(words) for words in (results.contradicted, *results.notes)]
-    return warning("Why they are not to be used", items) if results.contradicted else ""
-
-
 def _undetermined(results: CalibrationResults) -> str:
-    items = (
+    items = [
         element("b", escape(name)) + escape(f": {_why(results, name)}")
         for name, camera in results.network.cameras.items()
         if camera.map_from_camera is None
-    )
-    return warning("What the session does not determine", items)
+    ]
+    why = [] if results.network.located else map(escape, results.notes)
+    return warning("What the session does not determine", [*items, *why])
 
 
 def _unconfirmed(results: CalibrationResults) -> str:

@@ -18,6 +18,7 @@ from trigpoint.contract import cdr
 from trigpoint.contract.cdr_ros import store
 from trigpoint.contract.messages import ODOMETRY, SIGHTINGS, Mended, Odometry
 from trigpoint.geometry import Pose
+from trigpoint.map.network import load_network
 from trigpoint.tools.simulation.session import write_session
 from trigpoint.tools.simulation.world import load_world
 
@@ -116,12 +117,10 @@ def test_odometry_that_pictures_contradict_is_said_in_place_of_what_then_seems_t
     assert "was moved" not in said.err
 
 
-def test_cameras_that_are_located_by_odometry_that_they_contradict_are_not_to_be_used(
-    tmp_path: Path, cli: Cli
-) -> None:
+def test_no_camera_is_located_by_odometry_that_they_contradict(tmp_path: Path, cli: Cli) -> None:
     write_session(load_world("loop", seed=1, target="charuco"), tmp_path)
     said = calibrated(cli, tmp_path, tmp_path, by_the_diameter, status=1)
-    assert re.search(r"c1\s+located", said.out)
+    assert re.search("c1 is not determined: .* what cameras saw contradicts the odometry", said.out)
     assert re.search(
         r"robot r1: .* its lengths are told .* times too long .diameters for radii.*, or those in "
         "its target file are .* times too short for what was printed",
@@ -129,7 +128,10 @@ def test_cameras_that_are_located_by_odometry_that_they_contradict_are_not_to_be
     )
     assert "feet" not in said.err
     assert "exchanged" not in said.err
-    assert "do not use these cameras" in said.err
+    earlier = tmp_path / "out" / "network.json"
+    assert load_network(earlier).located == []
+    refused = cli.refused("calibrate", tmp_path, "--network", earlier)
+    assert "what the calibration that wrote it said" in refused
 
 
 @pytest.mark.parametrize(
@@ -193,8 +195,9 @@ def test_stamps_of_zero_before_a_clock_that_counts_from_zero_are_left_out(
 def test_clocks_that_overlap_and_are_apart_are_told_by_the_times_of_recording(
     recorded: Path, tmp_path: Path, cli: Cli, by_s: float, words: str
 ) -> None:
-    words_ = as_foreign(recorded, tmp_path, shifted(round(by_s * 1e9)), kind=ODOMETRY)
-    said = cli("calibrate", *words_, "--site", tmp_path / "site.toml", "--out", tmp_path / "out")
+    said = calibrated(cli, recorded, tmp_path, shifted(round(by_s * 1e9)), status=1 if words else 0)
+    assert bool(load_network(tmp_path / "out").located) is not bool(words)
+    assert ("c1, c2, c3 and odometry are stamped by two clocks" in said.out) is bool(words)
     assert ("by when both were recorded" in said.err) is bool(words)
     assert f"c1: the stamps of r1 are {words} those of c1" in said.err or not words
 
