@@ -363,7 +363,7 @@ class Pipeline:
             if not self.arrivals.clocks:
                 self.arrivals.odometry.otherwise = otherwise(self._data)
             if not (self.arrivals.clocks or self.arrivals.odometry.otherwise or unfit.scales):
-                self.arrivals.unfit = unfit.with_lenses(other_lenses(self._data))
+                self.arrivals.unfit = unfit.with_lenses(self._data, other_lenses(self._data))
         self._left_out.take_from(self._data)
         self._take_cameras(self._data.last_ns, is_urgent=True)
         self._outputs += self._cameras.rest()

@@ -118,6 +118,10 @@ def alternatives_of(places: Iterable[Place]) -> tuple[Alternative, ...]:
 def are_same_place(apart: Array, covariance: Array) -> np.ndarray:
     """Which explanations put a camera where the likeliest of them does, (n,): by their differences
     (n, 6) from that one, whose covariance is (6, 6)."""
-    apart = np.abs(apart)
-    is_near = np.all(apart < np.repeat([_SAME_M, _SAME_RAD], 3), axis=1)
-    return is_near | np.all(apart < _SAME_SIGMAS * np.sqrt(np.diagonal(covariance)) + 1e-4, axis=1)
+    limits = _SAME_SIGMAS * np.sqrt(np.diagonal(covariance)) + 1e-4
+    return are_little(apart) | np.all(np.abs(apart) < limits, axis=1)
+
+
+def are_little(apart: Array) -> np.ndarray:
+    """Which differences (n, 6) of poses are so little that nobody who acts on them can tell."""
+    return np.all(np.abs(apart) < np.repeat([_SAME_M, _SAME_RAD], 3), axis=-1)

@@ -166,10 +166,14 @@ def as_it_came(data: DataSet, seen: Observation) -> Observation:
 def score_of(data: DataSet, observations: list[Observation], memory: Memory) -> float:
     """The score of what explains observations best, inf where the budget does not suffice;
     `memory`: of which only that and what holds for any odometry is used."""
+    world = world_of(data, observations, memory)
+    return np.inf if world.budget.is_spent else world.score
+
+
+def world_of(data: DataSet, observations: list[Observation], memory: Memory) -> World:
+    """What explains the visits with the most pictures; see `score_of`."""
     events = Events(data.site.fusion.priors)
     visits = sorted(visits_of(data, observations), key=lambda visit: -len(visit.indices))
     noise = SessionNoise(dict.fromkeys(data.site.robots, PESSIMISTIC))
     own = Memory(memory.budget, memory.alone)
-    visits = visits[:_MOST_VISITS]
-    world = World(data, observations, events, noise, own, visits, is_draft=True)
-    return np.inf if own.budget.is_spent else world.score
+    return World(data, observations, events, noise, own, visits[:_MOST_VISITS], is_draft=True)

@@ -14,18 +14,20 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from trigpoint.fusion.association.events import EVIDENCE
+from trigpoint.fusion.association.explanation import are_little
 from trigpoint.fusion.association.other_odometry import other_lengths, other_turns
 from trigpoint.fusion.model.assembly import lens_sigmas
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.problem import Priors, Problem, State, layout_of
 from trigpoint.fusion.solver.equations import Reduced
 from trigpoint.fusion.solver.levenberg_marquardt import linearise
+from trigpoint.geometry import CameraModel
 from trigpoint.geometry.camera import LensModel
 from trigpoint.geometry.chi_square import chi2_limit
 from trigpoint.geometry.rotation import Array
 
-# The χ² of a pose (6,) beyond which its covariance is not true: what is off by more has no place.
-_BEYOND = chi2_limit(6, EVIDENCE)
+# The χ² of a pose (6,) that its covariance allows with one in a hundred.
+_BEYOND = chi2_limit(6, 1e-2)
 # Prior sigmas of what a site file takes as known: odometry's scales, and faces' mounting (m, rad).
 _SCALE_SIGMA, _MOUNT_SIGMA = 0.1, 0.02
 # Of a lens's parameters.
@@ -50,9 +52,17 @@ class UnfitInputs(Struct, frozen=True):
     lenses: dict[str, Unfit] = {}
     scales: dict[str, Unfit] = {}
 
-    def with_lenses(self, cameras: list[str]) -> "UnfitInputs":
-        """The same where these cameras' pictures are known to fit another lens far better."""
-        found = dict.fromkeys(cameras, Unfit("another one fits far better", is_harmful=True))
+    def with_lenses(self, data: DataSet, lenses: dict[str, CameraModel]) -> "UnfitInputs":
+        """The same where cameras' pictures are known to fit these lenses far better."""
+        found = dict[str, Unfit]()
+        for name, lens in lenses.items():
+            given, sigmas = (
+                data.lenses[name],
+                lens_sigmas(data.site.cameras[name], data.lenses[name]),
+            )
+            step = lens.parameters - given.parameters
+            part = max(_PARTS, key=lambda part: np.abs(step / sigmas)[part].max(initial=0.0))
+            found[name] = Unfit(_words(part, given.parameters, step), is_harmful=True)
         return replace(self, lenses=found | self.lenses)
 
 
@@ -124,14 +134,7 @@ class _Change:
     def words(self, cameras: list[str]) -> str:
         """What of the cameras' lenses changes most."""
         part = max(_PARTS, key=lambda part: self.chi2(cameras, part))
-        first, step = self._lenses[cameras[0]][0], self.step(cameras)[part]
-        if part == _FOCAL:
-            ratio = float(np.mean(step / first[part]))
-            side = "longer" if ratio > 0 else "shorter"
-            return f"a focal length about {100 * abs(ratio):.2g} % {side} fits"
-        if part == _CENTRE:
-            return f"a principal point about {np.hypot(*step):.2g} px off fits"
-        return "other distortion coefficients fit"
+        return _words(part, self._lenses[cameras[0]][0], self.step(cameras))
 
     def shifts(self, names: list[str], part: slice = _WHOLE) -> dict[str, Array]:
         """By how much each camera's pose (6,) is off because of this part of lenses, or scales."""
@@ -149,13 +152,25 @@ class _Change:
         return np.linalg.solve(information, pull.T @ self._step[rows]), information
 
 
+def _words(part: slice, given: Array, step: Array) -> str:
+    """What a step of a lens's parameters means, of a part of them."""
+    if part == _FOCAL:
+        ratio = float(np.mean(step[part] / given[part]))
+        side = "longer" if ratio > 0 else "shorter"
+        return f"a focal length about {100 * abs(ratio):.2g} % {side} fits"
+    if part == _CENTRE:
+        return f"a principal point about {np.hypot(*step[part]):.0f} px off fits"
+    return "other distortion coefficients fit"
+
+
 def _is_harmful(data: DataSet, shifts: dict[str, Array], stated: Reduced) -> bool:
-    """Whether a camera is farther off than its covariance allows, by these shifts (6,)."""
+    """Whether a camera is farther off than its covariance allows, by these shifts (6,), and by more
+    than is little."""
     covariance, columns = stated.covariance(), stated.layout.pose
     return any(
         shift @ np.linalg.solve(covariance[np.ix_(columns[name], columns[name])], shift) > _BEYOND
         for name, shift in shifts.items()
-        if name in data.site.cameras
+        if name in data.site.cameras and not are_little(shift)
     )
 
 

@@ -4,13 +4,14 @@ Stamps of two clocks that overlap fit together in every other way: pictures are 
 the robot was at another time. Whoever recorded both saw both come.
 """
 
+import math
 from array import array
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from trigpoint.base.clock import to_ns, to_seconds
-from trigpoint.site.config import Site
+from trigpoint.site.config import OFFSET_SIGMAS, Site
 
 # A picture is searched, and what is sent comes, within a second; fewer messages say little.
 _LEAST_NS, _LEAST = to_ns(1.0), 3
@@ -61,9 +62,10 @@ def _words(
         scatter_ns = own[2] - own[0] + high - low
         if abs(ahead_ns) > max(_LEAST_NS, borne_ns) + scatter_ns:
             way, late = ("ahead of", camera) if ahead_ns > 0 else ("behind", robot)
+            sigma = math.ceil(10 * to_seconds(abs(ahead_ns)) / OFFSET_SIGMAS) / 10
             yield (
                 f"the stamps of {robot} are {to_seconds(abs(ahead_ns)):.1f} s {way} those of "
                 f"{camera} by when both were recorded, so its pictures are held against where "
-                f"{robot} was at other times, unless what {late} sends only comes that late; "
-                "synchronise the clocks (chrony)"
+                f"{robot} was at other times; synchronise the clocks (chrony), or, if what {late} "
+                f"sends only comes that late, write time_offset_sigma = {sigma} for {camera}"
             )
