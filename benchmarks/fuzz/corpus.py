@@ -29,7 +29,7 @@ from trigpoint.native.library import Handle, Kernel
 
 from .inputs import Call, Corpus, Made
 
-_PARTS = ("edge", "fusion")
+_PARTS = ("edge", "fusion", "geometry")
 _PATTERNS = ("checkerboard", "charuco")
 _SESSIONS = ("space", "composition", "everything")
 _LIVE = ("alike", "displaced", "time_offset")
@@ -40,7 +40,7 @@ _MOST_BYTES = 2**18
 
 
 def all_kernels() -> tuple[Kernel, ...]:
-    """Of all modules of edge and fusion, by name."""
+    """Of all rooms that have any, by name."""
     found: dict[str, Kernel] = {}
     house = Path(trigpoint.__path__[0])
     for file in (file for part in _PARTS for file in (house / part).rglob("*.py")):
