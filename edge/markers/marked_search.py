@@ -16,7 +16,7 @@ from trigpoint.geometry.rotation import Array
 from .contradictions import contradictions
 from .corner_squares import refined
 from .marked_board import MarkedBoard
-from .marker_groups import LEAST_MEMBER, MarkerGroup, group_markers
+from .marker_groups import MarkerGroup, group_markers
 from .markers import reader_key, readers_for, whole_reader
 from .misdescribed import MisdescribedBoards
 from .quads import QuadFinder
@@ -134,8 +134,8 @@ class MarkedSearch(FaceFinder):
             if is_over():
                 break
             key = reader_key(board.look.face)
-            markers = self._readers[key].best(board.look.face, scores[key], quads, LEAST_MEMBER)
-            groups = group_markers(markers, board.layout)
+            first = self._readers[key].first(board.look.face)
+            groups = group_markers(quads, scores[key], first, board.layout)
             enough = max(least, board.least_markers)
             claims += [(group, board) for group in groups if len(group.numbers) >= enough]
         return self._settled(grey, claims, quads, is_over)
