@@ -8,6 +8,7 @@ import numpy as np
 from trigpoint.edge.image.region import Region
 from trigpoint.edge.image.time_limit import IsOver, never
 from trigpoint.edge.registration.appearance import Appearance
+from trigpoint.edge.registration.corner_pattern import CornerPattern
 from trigpoint.edge.registration.finder import FaceFinder
 from trigpoint.edge.registration.measurement import Located, Measured
 from trigpoint.edge.registration.planar_fit import PlanarFit
@@ -179,7 +180,7 @@ def _overlap(board: Located, other: Located) -> bool:
     if board.look is not other.look:
         return False
     one, two = (
-        each.found.fit.project(each.look.face.outline[:, :2]).astype(np.float32)
+        each.found.fit.project(CornerPattern.of(each.look.face).outline).astype(np.float32)
         for each in (board, other)
     )
     return cv2.intersectConvexConvex(one, two)[0] > 0
