@@ -36,7 +36,7 @@ _LIVE = ("alike", "displaced", "time_offset")
 _ASK_EVERY = 500
 # Of each kernel, and how many calls with the same object are kept before one; of none larger.
 _KEPT, _BEFORE = 8, 4
-_MOST_BYTES = 2**18
+_MOST_BYTES = 2**19
 
 
 def all_kernels() -> tuple[Kernel, ...]:
