@@ -330,5 +330,5 @@ def _has_moved(last: Array, outline: Array) -> bool:
 
 def _outlines(found: Sequence[Located]) -> list[Array]:
     """Outlines (n, 2) of faces, pixels, without degenerate projections."""
-    outlines = [face.found.fit.project(face.look.face.outline[:, :2]) for face in found]
+    outlines = [face.found.fit.project(CornerPattern.of(face.look.face).outline) for face in found]
     return [outline for outline in outlines if np.abs(outline).max() < _FAR_PX]

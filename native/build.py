@@ -33,7 +33,7 @@ FLAGS = (
 STRICT = ("-Wall", "-Wextra", "-Wshadow", "-Werror")
 # What reads or writes beside an array, or has no defined result, ends the program and says where.
 SANITIZE = (
-    "-O1", "-g", "-UNDEBUG", "-D_GLIBCXX_ASSERTIONS", "-fno-omit-frame-pointer",
+    "-O1", "-g1", "-UNDEBUG", "-D_GLIBCXX_ASSERTIONS", "-fno-omit-frame-pointer",
     "-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all",
 )  # fmt: skip
 _TRIAL = "#include <vector>\nint main() { return std::vector<int>{}.size(); }\n"

@@ -38,14 +38,14 @@ class Work(Struct, frozen=True):
 
 
 def make(calls: Sequence[Call]) -> None:
-    """Make an input's calls; that the core refuses one is as good as an answer."""
+    """Make an input's calls; that core or border refuse one is as good as an answer."""
     objects: dict[type[Handle], Handle] = {}
     for kernel, values in calls:
         for value in values:
             if isinstance(value, Made) and value.kind not in objects:
                 objects[value.kind] = value.kind()
         given = [objects[value.kind] if isinstance(value, Made) else value for value in values]
-        with suppress(RuntimeError, MemoryError):
+        with suppress(RuntimeError, MemoryError, TypeError, ValueError):
             kernel(*given)
 
 

@@ -29,18 +29,18 @@ from trigpoint.native.library import Handle, Kernel
 
 from .inputs import Call, Corpus, Made
 
-_PARTS = ("edge", "fusion")
+_PARTS = ("edge", "fusion", "geometry")
 _PATTERNS = ("checkerboard", "charuco")
 _SESSIONS = ("space", "composition", "everything")
 _LIVE = ("alike", "displaced", "time_offset")
 _ASK_EVERY = 500
 # Of each kernel, and how many calls with the same object are kept before one; of none larger.
 _KEPT, _BEFORE = 8, 4
-_MOST_BYTES = 2**18
+_MOST_BYTES = 2**19
 
 
 def all_kernels() -> tuple[Kernel, ...]:
-    """Of all modules of edge and fusion, by name."""
+    """Of all rooms that have any, by name."""
     found: dict[str, Kernel] = {}
     house = Path(trigpoint.__path__[0])
     for file in (file for part in _PARTS for file in (house / part).rglob("*.py")):

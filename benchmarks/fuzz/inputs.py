@@ -50,6 +50,8 @@ def drawn(kernels: tuple[Kernel, ...], corpus: Corpus, seed: int, number: int) -
             _cut(rng, *calls[at])
         if rng.random() >= _CUT_SHARE / 2:
             _spoil(rng, calls[at][1])
+        if rng.random() < _ODD_SHARE:
+            _misfit(rng, calls[at][1])
     return calls
 
 
@@ -108,12 +110,29 @@ def _spoil(rng: np.random.Generator, values: list[object]) -> None:
     """Put what is out of all bounds into some of them."""
     for at in rng.integers(0, len(values), rng.integers(1, 4)).tolist():
         value = values[at]
-        if isinstance(value, np.ndarray) and value.size and value.dtype in (float, np.int64):
-            poison = POISON if value.dtype == float else POISON_INTS
+        if isinstance(value, np.ndarray) and value.size:
+            own = value.reshape(-1)
+            known = own[rng.integers(value.size)]  # twice, or the number beside it
+            ints = (*POISON_INTS, known, known ^ 1) if own.dtype == np.int64 else (0, 1)
+            poison = (*POISON, known) if own.dtype == float else ints
             where = rng.integers(0, value.size, 1 + value.size // 8)
             is_all = rng.random() < 0.2
-            value.reshape(-1)[slice(None) if is_all else where] = rng.choice(poison)
+            own[slice(None) if is_all else where] = rng.choice(poison)
         elif isinstance(value, int):
             values[at] = POISON_INTS[rng.integers(len(POISON_INTS))]
         elif isinstance(value, float):
             values[at] = POISON[rng.integers(len(POISON))]
+
+
+def _misfit(rng: np.random.Generator, values: list[object]) -> None:
+    """Put what the declaration does not let pass, or hardly, in place of one of them."""
+    at = int(rng.integers(len(values)))
+    value = values[at]
+    others: list[object] = [None, "", [0.0], values[rng.integers(len(values))]]
+    if isinstance(value, np.ndarray):
+        read_only = value.copy()
+        read_only.flags.writeable = False
+        kind = (np.float32, np.int32, np.uint8, object, ">f8")[rng.integers(5)]
+        others += [np.zeros(value.shape, kind), read_only, value.T, value[None], value[..., :0]]
+        others += [np.repeat(value, 2, -1)[..., ::2] if value.ndim else value, value[:-1].copy()]
+    values[at] = others[rng.integers(len(others))]

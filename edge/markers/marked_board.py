@@ -1,5 +1,7 @@
 """A look with markers, and how a group of its markers becomes a sighting."""
 
+from functools import lru_cache
+
 import numpy as np
 from msgspec import Struct
 
@@ -76,20 +78,14 @@ class MarkedBoard(Struct, frozen=True, eq=False):
         if found is None or len(found.corners) < self._least_corners(len(group.numbers)):
             return None
         quads = self._placed(found.fit)
-        own = reader.agreement(grey, self.face, quads[group.numbers], group.numbers).mean()
+        scores = reader.agreement(grey, self.face, quads, np.arange(len(quads)))
+        own = scores[group.numbers].mean()
         if own < max(LEAST_OWN_AGREEMENT, _LEAST_OF_FEW.get(len(group.numbers), 0.0)):
             return None
-        beside = np.flatnonzero(_are_inside(grey, quads) & self._touch(found))
-        if len(beside) == 0:
-            return found
+        touch = _touching(self)[:, found.corners].any(axis=1)
+        beside = scores[_are_inside(grey, quads) & touch]
         least = _LEAST_OF_FEW.get(len(beside), LEAST_AGREEMENT)
-        scores = reader.agreement(grey, self.face, quads[beside], beside)
-        return found if scores.mean() >= least else None
-
-    def _touch(self, found: Measured) -> np.ndarray:
-        """Which of the markers touch found corners, (m,)."""
-        apart = chebyshev(self.layout.mean(axis=1), self.pattern.points[found.corners])
-        return np.any(apart < 0.75 * self.face.square, axis=1)
+        return found if len(beside) == 0 or beside.mean() >= least else None
 
     def _placed(self, fit: PlanarFit) -> Array:
         """The markers' corners in the picture, (m, 4, 2)."""
@@ -133,6 +129,13 @@ class MarkedBoard(Struct, frozen=True, eq=False):
         scores = reader.agreement(grey, self.face, quads[numbers], numbers)
         least = _LEAST_OF_FEW.get(len(numbers), LEAST_AGREEMENT)
         return found if median(scores) >= least else None
+
+
+@lru_cache(1024)
+def _touching(board: MarkedBoard) -> np.ndarray:
+    """Which of a board's markers touch which of its corners, (m, corners)."""
+    apart = chebyshev(board.layout.mean(axis=1), board.pattern.points)
+    return apart < 0.75 * board.face.square
 
 
 def _are_inside(grey: np.ndarray, quads: Array) -> np.ndarray:

@@ -8,6 +8,7 @@ import numpy as np
 from trigpoint.edge.image.region import Region
 from trigpoint.edge.image.time_limit import IsOver, never
 from trigpoint.edge.registration.appearance import Appearance
+from trigpoint.edge.registration.corner_pattern import CornerPattern
 from trigpoint.edge.registration.finder import FaceFinder
 from trigpoint.edge.registration.measurement import Located, Measured
 from trigpoint.edge.registration.planar_fit import PlanarFit
@@ -16,7 +17,7 @@ from trigpoint.geometry.rotation import Array
 from .contradictions import contradictions
 from .corner_squares import refined
 from .marked_board import MarkedBoard
-from .marker_groups import LEAST_MEMBER, MarkerGroup, group_markers
+from .marker_groups import MarkerGroup, group_markers
 from .markers import reader_key, readers_for, whole_reader
 from .misdescribed import MisdescribedBoards
 from .quads import QuadFinder
@@ -134,8 +135,8 @@ class MarkedSearch(FaceFinder):
             if is_over():
                 break
             key = reader_key(board.look.face)
-            markers = self._readers[key].best(board.look.face, scores[key], quads, LEAST_MEMBER)
-            groups = group_markers(markers, board.layout)
+            first = self._readers[key].first(board.look.face)
+            groups = group_markers(quads, scores[key], first, board.layout)
             enough = max(least, board.least_markers)
             claims += [(group, board) for group in groups if len(group.numbers) >= enough]
         return self._settled(grey, claims, quads, is_over)
@@ -179,7 +180,7 @@ def _overlap(board: Located, other: Located) -> bool:
     if board.look is not other.look:
         return False
     one, two = (
-        each.found.fit.project(each.look.face.outline[:, :2]).astype(np.float32)
+        each.found.fit.project(CornerPattern.of(each.look.face).outline).astype(np.float32)
         for each in (board, other)
     )
     return cv2.intersectConvexConvex(one, two)[0] > 0

@@ -27,6 +27,11 @@ CELLS = Kernel(
     float,
     Out(np.float64, ("n", "cells")),
 )
+_AGREEMENT = Kernel(
+    *("tp_marker_agreement", In(np.uint8, ("h", "w")), In(np.float64, ("n", 8))),
+    *(In(np.float64, ("cells", 2)), float, In(np.float64, ("cells", "t"))),
+    *(In(np.int64, ("n",)), Out(np.float64, ("n",))),
+)
 
 
 class Markers(Struct, frozen=True):
@@ -74,8 +79,10 @@ class MarkerReader:
         x, y = np.meshgrid(centres, centres)
         self._centres = np.stack([x, y], axis=-1).reshape(-1, 2)
         inside = np.abs(self._centres - 0.5).max(axis=1) < 0.5 - border_bits / self._side
-        self._within = self._centres[inside]
-        self._codes = _normalised(cells.reshape(len(cells), -1)[:, inside]).T.copy()
+        # Where the cells within the border are, (c, 2), and what each marker has there, normalised,
+        # (c, markers): another one correlates by 0, give or take one over the code's side.
+        self.within = self._centres[inside]
+        self.codes = _normalised(cells.reshape(len(cells), -1)[:, inside]).T.copy()
 
     def scores(self, grey: np.ndarray, quads: Array) -> Array:
         """Correlation (n, markers, 4 turns) of quads (n, 4, 2) with each marker; 0: no contrast.
@@ -85,19 +92,9 @@ class MarkerReader:
         scores = _cells(grey, quads, self._centres) @ self._templates
         return scores.reshape(len(quads), len(self._row), 4)
 
-    def codes(self, grey: np.ndarray, quads: Array) -> Array:
-        """Correlation (n, markers) of upright quads (n, 4, 2) with what is within each marker's
-        border, which all have: of another marker 0, give or take one over the code's side."""
-        return _cells(grey, quads, self._within) @ self._codes
-
-    def rows(self, face: Face) -> slice:
-        """Which of this reader's markers are a face's, in the face's order."""
-        first = self._row[face.first_marker]
-        return slice(first, first + face.marker_count)
-
-    def best(self, face: Face, scores: Array, quads: Array, least: float) -> Markers:
-        """The face's likeliest marker for each quad, where it scores at least `least`."""
-        return self.likeliest(scores[:, self.rows(face)], quads, least)
+    def first(self, face: Face) -> int:
+        """Which of this reader's markers is a face's first; its others follow."""
+        return self._row[face.first_marker]
 
     @staticmethod
     def likeliest(scores: Array, quads: Array, least: float) -> Markers:
@@ -114,8 +111,14 @@ class MarkerReader:
 
     def agreement(self, grey: np.ndarray, face: Face, quads: Array, numbers: np.ndarray) -> Array:
         """Score (n,) of quads as the upright markers `numbers` of a face."""
-        upright = self._templates[:, 4 * (self.rows(face).start + numbers)]
-        return np.einsum("nc,cn->n", _cells(grey, quads, self._centres), upright)
+        which = 4 * (self.first(face) + numbers)
+        return _agreement(grey, quads, self._centres, self._templates, which)
+
+    def code_agreement(
+        self, grey: np.ndarray, face: Face, quads: Array, numbers: np.ndarray
+    ) -> Array:
+        """The same (n,) of what is within the border, which all markers have."""
+        return _agreement(grey, quads, self.within, self.codes, self.first(face) + numbers)
 
 
 def readers_for(faces: Sequence[Face]) -> dict[tuple[str, int], MarkerReader]:
@@ -148,6 +151,16 @@ def _cells(grey: np.ndarray, quads: Array, places: Array) -> Array:
     flat = np.ascontiguousarray(quads, float).reshape(-1, 8)
     CELLS(np.ascontiguousarray(grey), flat, places, LEAST_CONTRAST, cells)
     return cells
+
+
+def _agreement(
+    grey: np.ndarray, quads: Array, places: Array, templates: Array, which: np.ndarray
+) -> Array:
+    """Correlation (n,) of each of quads (n, 4, 2) with the template (c, t) that it should show."""
+    scores = np.empty(len(quads))
+    flat = np.ascontiguousarray(quads, float).reshape(-1, 8)
+    _AGREEMENT(np.ascontiguousarray(grey), flat, places, LEAST_CONTRAST, templates, which, scores)
+    return scores
 
 
 def _cells_of(

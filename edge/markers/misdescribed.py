@@ -196,10 +196,10 @@ class _Shown:
         """The reader of a face's dictionary, with its border or another one."""
         return whole_reader(face.dictionary or "", border_bits or face.border_bits, self._ids)
 
-    def of(self, face: Face) -> Markers:
-        """The likeliest of a face's markers for each quadrilateral that may be a member."""
-        own = self._scores[reader_key(face)][:, self.reader(face).rows(face)]
-        return MarkerReader.likeliest(own, self.quads, LEAST_MEMBER)
+    def groups(self, face: Face, layout: Array) -> list[MarkerGroup]:
+        """What quadrilaterals show of a face whose markers lie so, where they can prove it."""
+        scores, first = self._scores[reader_key(face)], self.reader(face).first(face)
+        return group_markers(self.quads, scores, first, layout, fewest=_fewest(face))
 
     def any(self, face: Face) -> Markers:
         """The same of any of its dictionary's markers, by their ids."""
@@ -302,14 +302,13 @@ class _Scene:
 
 def _agreeing(face: Face, shown: _Shown) -> int:
     """How many of a face's markers are surely read and agree on one place of it."""
-    fewest = _fewest(face)
-    if len(shown.any(face)) < fewest or len(markers := shown.of(face)) < fewest:
+    if len(shown.any(face)) < _fewest(face):
         return 0
     return max(
         (
             _sure(face, shown, group, layout)
             for layout in _layouts(face)
-            for group in group_markers(markers, layout)
+            for group in shown.groups(face, layout)
         ),
         default=0,
     )
@@ -317,8 +316,7 @@ def _agreeing(face: Face, shown: _Shown) -> int:
 
 def _sure(face: Face, shown: _Shown, group: MarkerGroup, layout: Array) -> int:
     reader, grey = shown.reader(face), shown.grey
-    codes = reader.codes(grey, group.corners)[:, reader.rows(face)]
-    is_read = codes[np.arange(len(codes)), group.numbers] > _READ
+    is_read = reader.code_agreement(grey, face, group.corners, group.numbers) > _READ
     # A border of one cell reads as one of two where cells are few, only worse.
     other = shown.reader(face, 2 if face.border_bits == 1 else 1)
     as_said, otherwise = (

@@ -6,6 +6,8 @@ beyond, and is inverted without a search. What both leave, because the lens is a
 is not flat, a smooth `Bend` takes up.
 """
 
+from functools import lru_cache
+
 import numpy as np
 from msgspec import Struct
 
@@ -28,11 +30,13 @@ class PlanarFit(Struct, frozen=True, eq=False):
     packed: Array
 
     @classmethod
+    @lru_cache(16)
     def of_size(cls, size: tuple[int, int]) -> "PlanarFit":
-        """Of a picture's width and height; nothing is fitted yet."""
+        """Of a picture's width and height; nothing is fitted yet, nor to be written to."""
         packed = np.zeros(FIT)
         packed[[0, 4, 8, 18, 19]] = 1.0
         packed[11:13], packed[13] = (np.array(size, float) - 1) / 2, np.hypot(*size) / 2
+        packed.flags.writeable = False
         return cls(packed)
 
     def moved(self, change: Array) -> "PlanarFit":

@@ -25,7 +25,7 @@ EQUATIONS = (
     *(In(_REAL, ("m", "d", "q")), In(_REAL, ("q",))),
 )
 """Of a visit, as the core's kernels take them first."""
-_LINEARISED = Kernel(
+LINEARISED = Kernel(
     "tp_visit_linear",
     *(*GIVEN, int, Out(np.int64, ("parts",)), Out(np.int64, ("parts",))),
     *(Out(_REAL, ("parts", 6)), Out(_REAL, ("parts", 6, 6))),
@@ -113,7 +113,7 @@ def linearised(trial: Trial, *, by_pictures: bool) -> Linear | None:
     of_parts = [np.empty((most, 6, *shape)) for shape in ((), (6,), (d,), (q,))]
     of_steps = [np.empty((steps, d, *shape)) for shape in ((), (d,), (d,), (q,))]
     given = trial.given(Work(0))
-    kept = _LINEARISED(*given, by_pictures, parts, nodes, *of_parts, *of_steps)
+    kept = LINEARISED(*given, by_pictures, parts, nodes, *of_parts, *of_steps)
     if kept < 2:
         return None
     shifts, own, by_robot, by_others = (each[:kept] for each in of_parts)

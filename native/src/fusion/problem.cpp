@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <stdexcept>
+#include <utility>
 
 namespace trigpoint {
 
@@ -21,7 +22,7 @@ enum {
 };
 enum { CAMERA, ROBOT, NODE, CORNER_COUNT, DEVIATES };
 
-constexpr Index MOST_COLUMNS = 1 << 15, MOST_LENS = 12;
+constexpr Index MOST_COLUMNS = 1 << 15, MOST_LENS = 12, NOBODY = -1, KINDS = 6;
 constexpr double LEAST_FOCAL_PX = 1;
 
 std::size_t at(Index index) { return static_cast<std::size_t>(index); }
@@ -61,6 +62,19 @@ Problem::Problem(const Argument* given) : given_(given), size_(given[COLUMNS].wh
     read_cameras();
     read_robots();
     read_pictures();
+    std::vector<Index> owner(at(size_), NOBODY);
+    const auto take = [&](Index kind, const Range& range) {
+        for (Index k = range.first; k < range.first + range.count; ++k) {
+            const Index before = std::exchange(owner[at(k)], KINDS * range.first + kind);
+            require(before == NOBODY || before == owner[at(k)]);
+        }
+    };
+    // Cameras may share a lens and a clock; but what one picture depends on lies apart.
+    for (const Camera& camera : cameras_)
+        take(0, camera.pose), take(1, camera.lens), take(2, camera.clock);
+    for (const Robot& robot : robots_)
+        take(3, robot.scales), take(4, robot.faces), take(5, robot.last);
+    require(std::find(owner.begin(), owner.end(), NOBODY) == owner.end());
     require_rows(PRIOR_COLUMNS, size_);
     require_rows(KNOWN_POSES, array(CAMERAS).shape[0] + array(FACES).shape[0]);
     require_rows(KNOWN_COLUMNS, size_);

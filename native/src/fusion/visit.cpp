@@ -309,7 +309,8 @@ private:
             covariance * (seen.by_base.transpose() * seen.jacobian);
         const Index d = array(BY_ROBOT).shape[2], q = array(BY_OTHERS).shape[2],
                     own = own_columns(), faces = own + scale_columns();
-        if (row >= array(PARTS).shape[0] || d + own > by.cols() ||
+        if (row >= array(PARTS).shape[0] ||
+            d + own + 6 * static_cast<Index>(shown.size()) != by.cols() ||
             q != faces + (estimates_faces() ? 6 * array(FACES).shape[0] : 0))
             throw std::invalid_argument("parts of other unknowns");
         whole(PARTS)[row] = number;

@@ -1,5 +1,7 @@
 // What quadrilaterals show where a marker has its cells.
-#include "markers/quads.hpp"
+#include "markers/cells.hpp"
+
+#include <stdexcept>
 
 using namespace trigpoint;
 
@@ -34,42 +36,68 @@ private:
 
 }  // namespace
 
+CellReader::CellReader(const Grey& grey, const PointsIn& places, double least)
+    : grey_(grey), places_(places), least_(least * std::sqrt(static_cast<double>(places.rows()))) {
+    const auto count = static_cast<std::size_t>(places.rows());
+    xs_.resize(count), ys_.resize(count), values_.resize(count);
+}
+
+bool CellReader::read(const Quad& quad, Eigen::Ref<Eigen::VectorXd> cells) {
+    cells.setZero();
+    if (grey_.height < 2 || grey_.width < 2 || places_.rows() == 0 || !locate(quad)) return false;
+    sample(grey_, xs_.data(), ys_.data(), static_cast<int>(places_.rows()), values_.data());
+    for (Eigen::Index k = 0; k < places_.rows(); ++k) cells(k) = values_[k];
+    cells.array() -= cells.mean();
+    const double length = cells.norm();
+    if (!(length > least_)) return cells.setZero(), false;
+    cells /= length;
+    return true;
+}
+
+// Where a quad has the places in the picture; false where that is nowhere.
+bool CellReader::locate(const Quad& quad) {
+    const FromSquare pixel_of(quad);
+    for (Eigen::Index k = 0; k < places_.rows(); ++k) {
+        const Eigen::Vector2f pixel = pixel_of(places_.row(k).transpose()).cast<float>();
+        if (!pixel.allFinite()) return false;
+        xs_[k] = pixel.x(), ys_[k] = pixel.y();
+    }
+    return true;
+}
+
 // (grey (h, w), quads (n, 8), places (c, 2) in the unit square, least contrast, cells (n, c)): the
 // values at these places of each quad, their mean taken away and of length 1; 0 where their
 // standard deviation is no more than that. How many quads have more.
 TRIGPOINT_KERNEL(tp_cells) {
-    const Grey grey = Grey::of(arguments[0].array);
     const auto quads = arguments[1].array.rows<8>();
     const auto places = arguments[2].array.rows<2>();
-    const double least = arguments[3].number;
-    const auto count = static_cast<std::size_t>(places.rows());
-    std::vector<float> xs(count), ys(count), values(count);
+    CellReader reader(Grey::of(arguments[0].array), places, arguments[3].number);
     std::int64_t seen = 0;
     for (Eigen::Index i = 0; i < quads.rows(); ++i) {
         Eigen::Map<Eigen::VectorXd> cells(arguments[4].array.as<double>() + i * places.rows(),
                                           places.rows());
-        cells.setZero();
-        if (grey.height < 2 || grey.width < 2 || places.rows() == 0) continue;
-        Quad quad;
-        for (int k = 0; k < 4; ++k) quad[k] = quads.row(i).segment<2>(2 * k);
-        const FromSquare pixel_of(quad);
-        bool is_known = true;
-        for (Eigen::Index k = 0; k < places.rows() && is_known; ++k) {
-            const Eigen::Vector2f pixel = pixel_of(places.row(k).transpose()).cast<float>();
-            is_known = pixel.allFinite();
-            xs[k] = pixel.x(), ys[k] = pixel.y();
-        }
-        if (!is_known) continue;
-        sample(grey, xs.data(), ys.data(), static_cast<int>(places.rows()), values.data());
-        for (Eigen::Index k = 0; k < places.rows(); ++k) cells(k) = values[k];
-        cells.array() -= cells.mean();
-        const double length = cells.norm();
-        if (length > least * std::sqrt(static_cast<double>(places.rows()))) {
-            cells /= length;
-            ++seen;
-        } else {
-            cells.setZero();
-        }
+        seen += reader.read(quad_of(quads.row(i)), cells);
+    }
+    return seen;
+}
+
+// (grey (h, w), upright quads (n, 8), places (c, 2), least contrast, templates (c, t), which of
+// these each quad should show (n,), scores (n,)): the correlations; 0 without that contrast. How
+// many quads have more.
+TRIGPOINT_KERNEL(tp_marker_agreement) {
+    const auto quads = arguments[1].array.rows<8>();
+    const auto places = arguments[2].array.rows<2>();
+    const Array& given = arguments[4].array;
+    const Eigen::Map<const Templates> templates(given.as<double>(), given.shape[0], given.shape[1]);
+    const auto* which = arguments[5].array.as<const std::int64_t>();
+    CellReader reader(Grey::of(arguments[0].array), places, arguments[3].number);
+    Eigen::VectorXd cells(places.rows());
+    std::int64_t seen = 0;
+    for (Eigen::Index i = 0; i < quads.rows(); ++i) {
+        if (!(which[i] >= 0 && which[i] < templates.cols()))
+            throw std::invalid_argument("there is no marker of that number");
+        seen += reader.read(quad_of(quads.row(i)), cells);
+        arguments[6].array.as<double>()[i] = templates.col(which[i]).dot(cells);
     }
     return seen;
 }

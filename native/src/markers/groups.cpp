@@ -38,6 +38,43 @@ Corners corners_in(const Array& array, std::int64_t row) {
     return Eigen::Map<const Corners>(array.as<const double>() + 8 * row);
 }
 
+// What a quadrilateral most likely is, among the columns of its scores.
+struct Likeliest {
+    std::int64_t quad, column;
+    double score;
+};
+
+// Of those quadrilaterals that score at least `least`, the likeliest first, `most` at most.
+std::vector<Likeliest> likeliest(const Array& scores, std::int64_t first, std::int64_t columns,
+                                 double least, std::int64_t most) {
+    std::vector<Likeliest> found;
+    for (std::int64_t i = 0; i < scores.shape[0]; ++i) {
+        const double* own = scores.as<const double>() + 4 * (i * scores.shape[1] + first);
+        const double* best = std::max_element(own, own + columns);
+        if (*best >= least) found.push_back({i, best - own, *best});
+    }
+    std::stable_sort(found.begin(), found.end(),
+                     [](const auto& a, const auto& b) { return a.score > b.score; });
+    if (static_cast<std::int64_t>(found.size()) > most)
+        found.resize(static_cast<std::size_t>(most));
+    return found;
+}
+
+Markers markers_of(const std::vector<Likeliest>& found, const Array& quads, const Array& layout) {
+    Markers markers;
+    for (const Likeliest& one : found) {
+        const Corners seen = corners_in(quads, one.quad);
+        Corners upright;
+        for (int k = 0; k < 4; ++k) upright.row(k) = seen.row((one.column + k) % 4);
+        markers.numbers.push_back(one.column / 4);
+        markers.corners.push_back(upright);
+        markers.printed.push_back(corners_in(layout, one.column / 4));
+        markers.middles.push_back(markers.printed.back().colwise().mean());
+        markers.scores.push_back(one.score);
+    }
+    return markers;
+}
+
 // A homography to pixels, fitted to some markers' corners.
 std::optional<PlanarFit> fitted(const Markers& markers, const std::vector<std::size_t>& members) {
     Points points(4 * members.size(), 2), pixels(4 * members.size(), 2);
@@ -123,42 +160,47 @@ private:
 
 }  // namespace
 
-// (numbers (n,), corners (n, 8) pixels, scores (n,), the likeliest first, layout (m, 8) of all
-// markers' corners on the face, members (n,), ends (g,)): how many boards these markers show, g at
-// most; the markers of one after the other, and where each one's end.
+// (quads (n, 8), scores (n, all, 4) of each as each marker in each turn, the face's first among all
+// markers, layout (m, 8) of its markers' corners, the least score, how many such quads there must
+// be, and of how many the likeliest are looked at; numbers (n,), corners (n, 8) from the marker's
+// top left on and quads (n,) of the members; ends and weights (g,)): how many boards these markers
+// show, g at most; the members of one after the other, where each one's end, and the sums of their
+// scores.
 TRIGPOINT_KERNEL(tp_marker_groups) {
-    const Array &numbers = arguments[0].array, &layout = arguments[3].array;
-    const auto scores = arguments[2].array.rows<1>();
-    if (scores.rows() == 0 || !(scores(0) >= LEAST_SEED)) return 0;
-    Markers markers;
-    for (std::int64_t i = 0; i < numbers.shape[0]; ++i) {
-        const std::int64_t number = numbers.as<const std::int64_t>()[i];
-        if (number < 0 || number >= layout.shape[0])
-            throw std::invalid_argument("the face has no marker of that number");
-        markers.numbers.push_back(number);
-        markers.corners.push_back(corners_in(arguments[1].array, i));
-        markers.printed.push_back(corners_in(layout, number));
-        markers.middles.push_back(markers.printed.back().colwise().mean());
-        markers.scores.push_back(scores(i));
-    }
+    const Array &quads = arguments[0].array, &scores = arguments[1].array,
+                &layout = arguments[3].array;
+    const std::int64_t first = arguments[2].whole;
+    if (first < 0 || first > scores.shape[1] - layout.shape[0])
+        throw std::invalid_argument("the face has other markers than were scored");
     if (layout.shape[0] == 0) return 0;
-    const Corners first = corners_in(layout, 0);
-    const Gathering gathering(markers, (first.row(1) - first.row(0)).norm());
-    auto* members = arguments[4].array.as<std::int64_t>();
-    auto* ends = arguments[5].array.as<std::int64_t>();
+    const auto found = likeliest(scores, first, 4 * layout.shape[0], arguments[4].number,
+                                 std::max<std::int64_t>(arguments[6].whole, 0));
+    if (found.empty() || !(found[0].score >= LEAST_SEED) ||
+        static_cast<std::int64_t>(found.size()) < arguments[5].whole)
+        return 0;
+    const Markers markers = markers_of(found, quads, layout);
+    const Corners one = corners_in(layout, 0);
+    const Gathering gathering(markers, (one.row(1) - one.row(0)).norm());
+    const Array &ends = arguments[10].array, &weights = arguments[11].array;
     std::vector<char> is_free(markers.count(), 1);
     std::int64_t groups = 0, used = 0;
     for (std::size_t seed = 0; seed < std::min<std::size_t>(markers.count(), MOST_SEEDS); ++seed) {
-        if (!(markers.scores[seed] >= LEAST_SEED) || groups == arguments[5].array.shape[0]) break;
+        if (!(markers.scores[seed] >= LEAST_SEED) || groups == ends.shape[0]) break;
         if (!is_free[seed]) continue;
-        const auto found = gathering.from(seed, is_free);
+        const auto members = gathering.from(seed, is_free);
         double weight = 0;
-        for (const std::size_t member : found)
+        for (const std::size_t member : members)
             is_free[member] = 0, weight += markers.scores[member];
-        const double least = found.size() > 1 ? LEAST_MEAN : LEAST_ALONE;
-        if (!(weight / static_cast<double>(found.size()) >= least)) continue;
-        for (const std::size_t member : found) members[used++] = static_cast<std::int64_t>(member);
-        ends[groups++] = used;
+        const double least = members.size() > 1 ? LEAST_MEAN : LEAST_ALONE;
+        if (!(weight / static_cast<double>(members.size()) >= least)) continue;
+        for (const std::size_t member : members) {
+            arguments[7].array.as<std::int64_t>()[used] = markers.numbers[member];
+            Eigen::Map<Corners>(arguments[8].array.as<double>() + 8 * used) =
+                markers.corners[member];
+            arguments[9].array.as<std::int64_t>()[used++] = found[member].quad;
+        }
+        weights.as<double>()[groups] = weight;
+        ends.as<std::int64_t>()[groups++] = used;
     }
     return groups;
 }

@@ -1,6 +1,7 @@
 """The core's fuzzer: no kernel falls, and one that does is written down to be made again."""
 
 import pickle
+import re
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,16 @@ from benchmarks.fuzz.corpus import all_kernels, found_boards, recorded
 from benchmarks.fuzz.inputs import VARIANTS
 from benchmarks.fuzz.runner import fuzzed, ran
 from benchmarks.study.session import simulated_session, worked_out
+from trigpoint.native.build import SOURCES
 from trigpoint.native.library import LIBRARY, Kernel
+
+TESTS_OWN = {"tp_scatter", "tp_sound_corners"}
+
+
+def test_every_kernel_is_fuzzed() -> None:
+    sources = "".join(path.read_text() for path in SOURCES.rglob("*.cpp"))
+    exported = set(re.findall(r"^TRIGPOINT_KERNEL\((\w+)\)", sources, re.MULTILINE))
+    assert {kernel.name for kernel in all_kernels()} == exported - TESTS_OWN
 
 
 def test_no_drawn_input_harms_the_core(tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from support.pictures.boards import charuco
 
-from trigpoint.edge.markers.marker_groups import MOST_GROUPS, group_markers
+from trigpoint.edge.markers.marker_groups import MOST_GROUPS, MarkerGroup, group_markers
 from trigpoint.edge.markers.markers import MarkerReader, Markers
 from trigpoint.edge.registration.printed_pattern import charuco_layout
 
@@ -22,7 +22,7 @@ def picture(marker: int) -> np.ndarray:
 
 def read(shown: np.ndarray, quads: np.ndarray) -> Markers:
     reader = MarkerReader("DICT_4X4_250", 1, range(20, 30))
-    return reader.best(FACE, reader.scores(shown, quads), quads, least=0.5)
+    return MarkerReader.likeliest(reader.scores(shown, quads), quads, 0.5)
 
 
 @pytest.mark.parametrize("first", range(4))
@@ -56,52 +56,69 @@ def test_quadrilateral_that_is_nowhere_is_no_marker(where: float) -> None:
     assert len(read(picture(23), np.full((1, 4, 2), where))) == 0
 
 
-def seen_at(offset: np.ndarray, numbers: list[int], scores: list[float], first: int) -> Markers:
-    corners = charuco_layout(FACE)[numbers] * 800 + offset
-    quads = np.arange(first, first + len(numbers))
-    return Markers(np.array(numbers), corners, np.array(scores), quads)
+Seen = tuple[np.ndarray, np.ndarray]
+"""Quadrilaterals (n, 4, 2), and their scores (n, markers, 4)."""
 
 
-def joined(*parts: Markers) -> Markers:
-    order = np.argsort(-np.concatenate([part.scores for part in parts]))
-    return Markers(
-        np.concatenate([part.numbers for part in parts])[order],
-        np.concatenate([part.corners for part in parts])[order],
-        np.concatenate([part.scores for part in parts])[order],
-        np.concatenate([part.quads for part in parts])[order],
-    )
+def seen_at(offset: np.ndarray, numbers: list[int], scores: list[float]) -> Seen:
+    """Markers of a board that lies there, read in the first turn."""
+    read = np.zeros((len(numbers), FACE.marker_count, 4))
+    read[np.arange(len(numbers)), numbers, 0] = scores
+    return charuco_layout(FACE)[numbers] * 800 + offset, read
+
+
+def grouped(*parts: Seen) -> list[MarkerGroup]:
+    quads, scores = (np.concatenate(each) for each in zip(*parts, strict=True))
+    return group_markers(quads, scores, 0, charuco_layout(FACE))
 
 
 def test_markers_that_agree_are_one_board_and_a_stray_is_left_out() -> None:
-    board = seen_at(np.array([300.0, 200.0]), [0, 1, 2, 4], [0.9, 0.7, 0.6, 0.5], 0)
-    stray = seen_at(np.array([20.0, 400.0]), [3], [0.7], 9)
-    (group,) = group_markers(joined(board, stray), charuco_layout(FACE))
+    board = seen_at(np.array([300.0, 200.0]), [0, 1, 2, 4], [0.9, 0.7, 0.6, 0.5])
+    stray = seen_at(np.array([20.0, 400.0]), [3], [0.7])
+    (group,) = grouped(stray, board)
     assert sorted(group.numbers.tolist()) == [0, 1, 2, 4]
-    assert 9 not in group.quads
+    assert sorted(group.quads.tolist()) == [1, 2, 3, 4]
+    assert group.weight == pytest.approx(2.7)
+
+
+def test_members_are_given_from_their_own_top_left_on() -> None:
+    quads, scores = seen_at(np.zeros(2), [0, 1, 2], [0.9, 0.8, 0.7])
+    (group,) = grouped((np.roll(quads, 1, axis=1), np.roll(scores, 1, axis=2)))
+    assert np.array_equal(group.corners, quads[group.quads])
 
 
 def test_board_in_two_places_is_two_groups() -> None:
-    left = seen_at(np.array([100.0, 200.0]), [0, 1, 2], [0.9, 0.8, 0.7], 0)
-    right = seen_at(np.array([450.0, 200.0]), [0, 1, 5], [0.85, 0.8, 0.7], 5)
-    groups = group_markers(joined(left, right), charuco_layout(FACE))
-    assert sorted(sorted(group.quads.tolist()) for group in groups) == [[0, 1, 2], [5, 6, 7]]
+    left = seen_at(np.array([100.0, 200.0]), [0, 1, 2], [0.9, 0.8, 0.7])
+    right = seen_at(np.array([450.0, 200.0]), [0, 1, 5], [0.85, 0.8, 0.7])
+    groups = grouped(right, left)
+    assert [sorted(group.quads.tolist()) for group in groups] == [[3, 4, 5], [0, 1, 2]]
 
 
-def test_number_that_the_face_does_not_have_is_refused() -> None:
-    other = Markers(np.array([99]), QUAD[None], np.array([0.9]), np.array([0]))
-    with pytest.raises(RuntimeError, match="no marker of that number"):
-        group_markers(other, charuco_layout(FACE))
+def test_fewer_markers_than_are_asked_for_are_no_board() -> None:
+    quads, scores = seen_at(np.zeros(2), [0, 1, 2], [0.9, 0.8, 0.7])
+    found = [
+        len(group_markers(quads, scores, 0, charuco_layout(FACE), fewest=fewest))
+        for fewest in (3, 4)
+    ]
+    assert found == [1, 0]
+
+
+@pytest.mark.parametrize("first", [-1, 1])
+def test_markers_that_were_not_scored_are_refused(first: int) -> None:
+    quads, scores = seen_at(np.zeros(2), [0], [0.9])
+    with pytest.raises(RuntimeError, match="other markers than were scored"):
+        group_markers(quads, scores, first, charuco_layout(FACE))
 
 
 def test_more_boards_than_are_looked_for_are_left() -> None:
     places = [np.array([300.0 * column, 300.0 * row]) for row in range(3) for column in range(4)]
-    boards = [seen_at(at, [0, 1, 2], [0.9, 0.8, 0.7], 3 * n) for n, at in enumerate(places)]
-    assert len(group_markers(joined(*boards), charuco_layout(FACE))) == MOST_GROUPS
+    boards = [seen_at(at, [0, 1, 2], [0.9, 0.8, 0.7]) for at in places]
+    assert len(grouped(*boards)) == MOST_GROUPS
 
 
 @pytest.mark.parametrize(("strays", "boards"), [(63, 1), (64, 0)])
 def test_so_many_markers_are_tried_as_the_start_of_a_board(strays: int, boards: int) -> None:
     """However many a picture shows, most of which are no board's."""
-    parts = [seen_at(np.array([1e4 * k, 0.0]), [0], [0.79], k) for k in range(1, strays + 1)]
-    board = seen_at(np.zeros(2), [2, 3, 4, 5, 6], [0.75] * 5, 100)
-    assert len(group_markers(joined(*parts, board), charuco_layout(FACE))) == boards
+    parts = [seen_at(np.array([1e4 * k, 0.0]), [0], [0.79]) for k in range(1, strays + 1)]
+    board = seen_at(np.zeros(2), [2, 3, 4, 5, 6], [0.75] * 5)
+    assert len(grouped(*parts, board)) == boards

@@ -9,7 +9,7 @@ from support.fusion.slow_linear import SlowLinear, slow_linear
 from support.fusion.small_problems import first_state, small_data
 
 from trigpoint.fusion.association.events import Events
-from trigpoint.fusion.association.linear import Linear, linearised, unknowns_of
+from trigpoint.fusion.association.linear import LINEARISED, Linear, linearised, unknowns_of
 from trigpoint.fusion.association.sightings import all_without_wild
 from trigpoint.fusion.association.trial import Ending, Pictures, Trial, Work
 from trigpoint.fusion.model.assembly import Assembled, assemble
@@ -140,3 +140,18 @@ def test_clock_that_diverges_fits_nothing(offset_s: float) -> None:
     _, trial = visit(*PAIRS[0])
     trial._state[2][0, 0] = offset_s
     assert trial.round(Work.READ | Work.SOLVE) is Ending.NOTHING_FITS
+
+
+@pytest.mark.parametrize("d", [0, 2, 7])
+def test_parts_of_a_robot_with_other_unknowns_are_refused(d: int) -> None:
+    """Their coefficients would be written, or read, beside the arrays that they are in."""
+    _, trial = visit("c2", "r1")
+    found = linearised(trial, by_pictures=True)
+    assert found is not None
+    assert d != found.steps.shape[1]
+    q, parts, steps = found.by_others.shape[2], len(trial.pictures.observations), len(found.steps)
+    numbers = [np.empty(parts, np.int64) for _ in range(2)]
+    of_parts = [np.empty((parts, 6, *shape)) for shape in ((), (6,), (d,), (q,))]
+    of_steps = [np.empty((steps, d, *shape)) for shape in ((), (d,), (d,), (q,))]
+    with pytest.raises(RuntimeError, match="parts of other unknowns"):
+        LINEARISED(*trial.given(Work(0)), True, *numbers, *of_parts, *of_steps)

@@ -1,5 +1,7 @@
 """How far a sighting is from where everything else predicts it, by the inverse of the whole."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from msgspec.structs import replace
@@ -10,7 +12,7 @@ from trigpoint.fusion.association.events import Events
 from trigpoint.fusion.model.assembly import assemble
 from trigpoint.fusion.model.jitter import Jitter
 from trigpoint.fusion.model.prediction import batch_jacobian
-from trigpoint.fusion.model.problem import Batch
+from trigpoint.fusion.model.problem import Batch, Problem, State, layout_of
 from trigpoint.fusion.solver.equations import System
 from trigpoint.fusion.solver.innovations import innovations
 from trigpoint.fusion.solver.levenberg_marquardt import Minimum, minimise
@@ -98,3 +100,51 @@ def test_what_is_left_of_the_way_to_the_minimum_contradicts_nothing() -> None:
     )
     assert short.cost > whole.cost + 1.0
     np.testing.assert_allclose(here[0], there[0], rtol=0.2, atol=2.0)
+
+
+def minimised(change: Callable[[Problem, State], Problem]) -> tuple[State, State]:
+    """The first and the last state of a problem with other columns."""
+    data = small_data(noise_px=0.2, sightings=15)
+    assembled = assemble(data, first_state(data, off=0.02), list(range(len(data.entries))))
+    problem, start = change(assembled.problem, assembled.start), assembled.start
+    found = minimise(problem, start, huber=np.inf, tolerance=1e-6, most_iterations=20)
+    return start, found.state
+
+
+def test_problem_with_a_column_of_two_unknowns_or_of_none_is_refused() -> None:
+    """What a picture depends on would be fewer than its terms have derivatives by."""
+
+    def with_none(problem: Problem, _: State) -> Problem:
+        return replace(problem, layout=replace(problem.layout, size=problem.layout.size + 1))
+
+    def with_two(problem: Problem, _: State) -> Problem:
+        layout = problem.layout
+        columns, last = next(iter(layout.pose.values())), next(iter(layout.last.values()))
+        last = dict.fromkeys(layout.last, columns[: len(last)])
+        return replace(problem, layout=replace(layout, last=last))
+
+    for change in (with_none, with_two):
+        with pytest.raises(RuntimeError, match="do not fit together"):
+            minimised(change)
+
+
+def test_cameras_may_share_a_lens() -> None:
+    def with_one(problem: Problem, state: State) -> Problem:
+        one, other = cameras = list(problem.layout.pose)
+        lens, clock = problem.priors.lens, problem.priors.time_offset
+        priors = replace(
+            problem.priors,
+            lens={one: lens[one]},
+            time_offset={one: clock[one]},
+            owners={other: one},
+        )
+        layout = layout_of(cameras, problem.chains, priors, state)
+        return replace(problem, priors=priors, layout=layout)
+
+    start, found = minimised(with_one)
+    one, other = (
+        np.subtract(found.cameras[name].lens.parameters, camera.lens.parameters)
+        for name, camera in start.cameras.items()
+    )
+    np.testing.assert_allclose(one, other, atol=1e-6)
+    assert np.abs(one).max() > 1e-3
