@@ -79,8 +79,8 @@ def otherwise(data: DataSet) -> dict[str, str]:
     better than the contract's way; all ways that explain it as well. `data`: after its last
     explanation; where that shows nothing strange, none is questioned."""
     every = [entry.observation for entry in data.entries]
-    rejected = sum(observation.verdict is Verdict.REJECTED for observation in every)
-    if not data.changes and rejected <= MOST_REJECTED * len(every):
+    unused = sum(observation.verdict is not Verdict.ACCEPTED for observation in every)
+    if not data.changes and unused <= MOST_REJECTED * len(every):
         return {}
     every = [as_it_came(data, each) for each in every]
     every.sort(key=lambda observation: observation.stamp_ns)

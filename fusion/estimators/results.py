@@ -48,12 +48,12 @@ class Results(Struct, frozen=True):
             name: replace(
                 camera,
                 status="undetermined",
-                undetermined=(why,),
+                undetermined=(why, *camera.undetermined),
                 map_from_camera=None,
                 covariance=None,
                 earlier=(),
             )
-            if camera.status == "located"
+            if camera.status != "unseen"
             else camera
             for name, camera in self.network.cameras.items()
         }

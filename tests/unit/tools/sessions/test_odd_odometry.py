@@ -200,12 +200,9 @@ def test_clocks_that_overlap_and_are_apart_are_told_by_the_times_of_recording(
     assert ("c1, c2, c3 and odometry are stamped by two clocks" in said.out) is bool(words)
     assert ("by when both were recorded" in said.err) is bool(words)
     assert f"c1: the stamps of r1 are {words} those of c1" in said.err or not words
-    if line := re.search(r"write (time_offset_sigma = .*) for c1", said.err):
-        site = tmp_path / "site.toml"
-        text = re.sub(r"\[cameras\.\w+\]", lambda head: f"{head[0]}\n{line[1]}", site.read_text())
-        site.write_text(text)
-        calibrated(cli, recorded, tmp_path, shifted(round(by_s * 1e9)))
-        assert load_network(tmp_path / "out").located
+    assert bool(re.search(r"late, write time_offset_sigma = [01]\.\d for c1", said.err)) is bool(
+        words
+    )
 
 
 def test_exchanged_frames_of_odometry_are_said(recorded: Path, tmp_path: Path, cli: Cli) -> None:
