@@ -69,6 +69,18 @@ def test_check_names_what_recover_leaves_out(tmp_path: Path, bad: str, cli: Cli)
 JPEG = cv2.imencode(".jpg", GREY)[1].tobytes()
 
 
+END = b"\xff\xd9"
+
+
+@pytest.mark.parametrize("after", [END, b"\0" + END, END + b"\0"])
+def test_a_picture_without_its_head_is_cut_short_whatever_its_end(after: bytes) -> None:
+    begins = JPEG.rfind(b"\xff\xda") + 2
+    begins += int.from_bytes(JPEG[begins : begins + 2], "big")
+    for length in range(2, begins + 1):
+        picture = Picture(0, "", "jpeg", JPEG[:length] + after)
+        assert "cut short" in cdr.fault_in(PICTURE, cdr.encode(picture))
+
+
 @settings(deadline=None)
 @given(st.sampled_from([PNG, JPEG]), st.floats(0, 1, exclude_max=True), st.binary(max_size=4))
 def test_what_check_lets_pass_can_be_decoded(whole: bytes, share: float, after: bytes) -> None:
