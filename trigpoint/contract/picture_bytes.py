@@ -2,6 +2,7 @@
 
 _JPEG_START, _JPEG_SCAN, _JPEG_END = b"\xff\xd8", b"\xff\xda", b"\xff\xd9"
 _FILL = 0xFF  # any number of it may stand before a marker's number
+_LEAST_SCAN_HEADER = 8  # bytes, of one component
 _PNG_START, _PNG_END = b"\x89PNG", b"IEND\xaeB`\x82"  # the end with its checksum
 # What the drivers that say «jpeg» or «png» send: some say one and send another.
 _STARTS = (_JPEG_START, _PNG_START, b"RIFF", b"BM", b"II*\0", b"MM\0*")
@@ -26,7 +27,7 @@ def _scan_begins(data: bytes) -> int:
             return -1
         at += 1 if marker[1] == _FILL else 2 + size
         if marker == _JPEG_SCAN:
-            return at if at <= len(data) else -1
+            return at if size >= _LEAST_SCAN_HEADER and at <= len(data) else -1
     return -1
 
 
