@@ -76,7 +76,7 @@ END = b"\xff\xd9"
 def test_a_picture_without_its_head_is_cut_short_whatever_its_end(after: bytes) -> None:
     begins = JPEG.rfind(b"\xff\xda") + 2
     begins += int.from_bytes(JPEG[begins : begins + 2], "big")
-    for length in range(2, begins + 1):
+    for length in range(2, begins):
         picture = Picture(0, "", "jpeg", JPEG[:length] + after)
         assert "cut short" in cdr.fault_in(PICTURE, cdr.encode(picture))
 
