@@ -11,7 +11,8 @@ from prometheus_client.utils import floatToGoString
 from trigpoint.contract.durations import BOUNDS_S, Durations
 from trigpoint.contract.messages import Diagnostics, DiagnosticStatus
 
-from .table import EVERY, LEVEL, METRICS, REPORTED, Metric, is_left_out, metric_of
+from .metric import LEVEL, REPORTED, Metric
+from .table import EVERY, METRICS, is_left_out, metric_of
 
 _WHO = {"edge": "camera", "robot": "robot"}
 

@@ -12,7 +12,8 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from trigpoint.contract.messages import Diagnostics, DiagnosticStatus
 from trigpoint.metrics.families import families
-from trigpoint.metrics.table import EVERY, METRICS, OTHERS, Metric, metric_of
+from trigpoint.metrics.metric import Metric
+from trigpoint.metrics.table import EVERY, METRICS, OTHERS, metric_of
 from trigpoint.node.health import Health, Level
 from trigpoint.robot.gate.safety import Refusal
 
