@@ -58,4 +58,4 @@ def _other(data: DataSet, camera: str, share: float) -> CameraModel | None:
     if free.score >= min(fits, told.score - CLEAR):
         return None
     modes = [visit.modes[0] for visit in free.visits if visit.modes]
-    return max(modes, key=lambda mode: mode.right_pictures).camera.lens
+    return max(modes, key=lambda mode: mode.right_pictures).camera.lens if modes else None

@@ -38,8 +38,9 @@ MOST_REJECTED = 0.1
 _MIRROR = np.diag([1.0, -1, 1, -1, 1, -1])
 """The twist (6,) of the mirrored drive by that of a drive."""
 _BACKWARDS = np.diag([-1.0, -1, 1, 1, 1, 1])
-# Lengths that are off by less are a wheel's radius or a print's scale, which are estimated.
-_OTHER_LENGTHS = 1.25
+# Lengths that are off by less are a wheel's radius or a print's scale; by less than the other,
+# where these are not estimated, no more than pictures tell.
+_OTHER_LENGTHS, _LEAST_OTHER = 1.25, 1.05
 # Single boards tell motion to some centimetres and degrees (m or rad): what fits them worse by more
 # than that, and so many times worse, is not explained at all.
 _ROUGH, _MUCH_WORSE = 0.05, 1.5
@@ -124,7 +125,8 @@ def _retold(data: DataSet, robot: str, every: list[Observation]) -> dict[str, Od
     if shown is None:
         return found
     by = shown.longer(track)
-    if abs(math.log(by)) > math.log(_OTHER_LENGTHS):
+    is_learnt = data.site.robots[robot].odometry.distance_scale > 0
+    if abs(math.log(by)) > math.log(_OTHER_LENGTHS if is_learnt else _LEAST_OTHER):
         found[other_lengths(by)] = track.retold(np.diag([1 / by] * 3 + [1.0] * 3))
     misfits = {words: shown.misfit(each) for words, each in found.items()}
     most = _ROUGH + _MUCH_WORSE * shown.misfit(track)

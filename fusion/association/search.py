@@ -160,8 +160,8 @@ class Search:
 
     def _wrong_score(self, hypothesis: Hypothesis, number: int) -> float:
         """Return the score of a visit that is wrong. A single picture shows its board, as often as
-        anywhere, near where it would have to be, as near as a camera is that was pushed: if that
-        is likelier than that it is right."""
+        anywhere, near where it would have to be, as near as a camera is that was pushed. To bound
+        the search, only where that is likelier than that it is right."""
         nothing, place = self.visits[number].nothing, self._place_about(hypothesis, number)
         if place is None:
             return nothing

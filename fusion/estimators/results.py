@@ -43,17 +43,19 @@ class Results(Struct, frozen=True):
     doubts: tuple[str, ...] = ()
 
     def unlocated(self, why: str) -> "Results":
-        """The same where every place of a camera is wrong, so that none is located."""
+        """The same where every place that a camera was seen from is wrong, so that none is located;
+        one that saw nothing is where it was known to be."""
         cameras = {
             name: replace(
                 camera,
                 status="undetermined",
                 undetermined=(why, *camera.undetermined),
+                alternatives=(),
                 map_from_camera=None,
                 covariance=None,
                 earlier=(),
             )
-            if camera.status != "unseen"
+            if camera.sightings
             else camera
             for name, camera in self.network.cameras.items()
         }

@@ -30,6 +30,8 @@ from trigpoint.geometry.rotation import Array
 _BEYOND = chi2_limit(6, 1e-2)
 # Prior sigmas of what a site file takes as known: odometry's scales, and faces' mounting (m, rad).
 _SCALE_SIGMA, _MOUNT_SIGMA = 0.1, 0.02
+# A scale beyond is not told by one linear step, but to be so far off at least.
+_LINEAR = 0.3
 # Of a lens's parameters.
 _WHOLE, _FOCAL, _CENTRE, _DISTORTION = slice(None), slice(2), slice(2, 4), slice(4, None)
 _PARTS = _FOCAL, _CENTRE, _DISTORTION
@@ -81,7 +83,8 @@ def unfit_inputs(
     for robot in problem.chains:
         part, words = max(_SCALES, key=lambda each: change.chi2([robot], each[0]))
         if change.chi2([robot], part) > chi2_limit(1, EVIDENCE / len(problem.chains) / 2):
-            by = 1 / (1 + state.robots[robot].scales + change.step([robot]))
+            longer = state.robots[robot].scales + change.step([robot])
+            by = 1 / (1 + np.clip(longer, -_LINEAR, _LINEAR))
             is_harmful = _is_harmful(data, change.shifts([robot], part), reduced)
             scales[robot] = Unfit(words(float(by[part][0])), is_harmful)
     return UnfitInputs(

@@ -136,7 +136,7 @@ def solve_consistently(
     solves in a row did not converge: more would take long, and hardly do. A point that never is
     stable has not converged either. `is_begun`: the state comes from a solution."""
     solved, iterations, has_converged = None, 0, True
-    tried = dict[str, tuple[float, float]]()
+    tried = dict[str, _Bracket]()
     for _ in range(_MOST_SOLVES):
         used = data.usable(state.cameras)
         if not used:
@@ -147,9 +147,10 @@ def solve_consistently(
         if not (had_converged or has_converged):
             break
         before, state, is_begun = state, solved.state, True
-        if not changes(solved) and _is_consistent(before, state):
+        has_changed = changes(solved)
+        if not has_changed and _is_consistent(before, state, tried):
             break
-        state, tried = _between(before, state, tried)
+        state, tried = _between(before, state, {} if has_changed else tried)
     else:
         assert solved is not None
         solved = replace(solved, solution=replace(solved.solution, has_converged=False))
@@ -173,28 +174,48 @@ def _solve_once(
     return Solved(merged, assembled, solution, minimum.equations, solution.iterations)
 
 
+_Bracket = tuple[tuple[float, float] | None, tuple[float, float] | None]
+"""The nearest time offsets that a solve made larger, and smaller, each with how it changed."""
+
+
 def _between(
-    before: State, after: State, last: dict[str, tuple[float, float]]
-) -> tuple[State, dict[str, tuple[float, float]]]:
-    """A state whose time offsets lie where they would change no more (false position), if they now
-    changed the other way; and by camera each offset and how it changed."""
-    cameras, tried = dict(after.cameras), dict[str, tuple[float, float]]()
+    before: State, after: State, last: dict[str, _Bracket]
+) -> tuple[State, dict[str, _Bracket]]:
+    """A state whose time offsets lie where they would change no more, between those that changed
+    either way (false position, with half the weight of an end that stays: Illinois, Dowell and
+    Jarratt, 1971); and these, by camera."""
+    cameras, tried = dict(after.cameras), dict[str, _Bracket]()
     for name, camera in after.cameras.items():
         offset_s = before.cameras[name].time_offset_s
-        change_s = camera.time_offset_s - offset_s
-        earlier_s, other_s = last.get(name, (offset_s, change_s))
-        if change_s * other_s < 0:
-            back_s = (offset_s - earlier_s) * change_s / (change_s - other_s)
-            cameras[name] = replace(camera, time_offset_s=offset_s - back_s)
-        tried[name] = offset_s, change_s
+        here = offset_s, camera.time_offset_s - offset_s
+        low, high = last.get(name, (None, None))
+        if here[1] > 0:
+            low, high = here, _lighter(high) if low else high
+        elif here[1] < 0:
+            low, high = _lighter(low) if high else low, here
+        if here[1] and low and high:
+            share = low[1] / (low[1] - high[1])
+            place_s = low[0] + share * (high[0] - low[0])
+            cameras[name] = replace(camera, time_offset_s=place_s)
+        tried[name] = low, high
     return replace(after, cameras=cameras), tried
 
 
-def _is_consistent(before: State, after: State) -> bool:
+def _lighter(end: tuple[float, float] | None) -> tuple[float, float] | None:
+    return (end[0], 0.5 * end[1]) if end else None
+
+
+def _is_consistent(before: State, after: State, tried: dict[str, _Bracket]) -> bool:
+    """Whether scales and time offsets changed by little, or would be off by little."""
     for name, robot in after.robots.items():
         if np.abs(robot.scales - before.robots[name].scales).max() > _SCALE_TOLERANCE:
             return False
     return all(
         abs(camera.time_offset_s - before.cameras[name].time_offset_s) <= _OFFSET_TOLERANCE_S
+        or _is_closed(*tried.get(name, (None, None)))
         for name, camera in after.cameras.items()
     )
+
+
+def _is_closed(low: tuple[float, float] | None, high: tuple[float, float] | None) -> bool:
+    return low is not None and high is not None and abs(high[0] - low[0]) <= _OFFSET_TOLERANCE_S

@@ -135,7 +135,8 @@ def _row(name: str, camera: CameraRecord, error: NetworkError | None) -> list[st
         return [name, camera.status]
     turn = math.degrees(camera.rotation_sigma)
     row = [name, camera.status, two_decimals(100 * camera.position_sigma), two_decimals(turn)]
-    row += [str(camera.sightings), str(camera.rejected), f"{camera.reprojection_rms:.2f}"]
+    rms_px = camera.reprojection_rms
+    row += [str(camera.sightings), str(camera.rejected), "–" if rms_px is None else f"{rms_px:.2f}"]
     if error and name in error.cameras:
         mine = error.cameras[name]
         row += [two_decimals(100 * mine.position), two_decimals(math.degrees(mine.rotation))]

@@ -17,6 +17,8 @@ from trigpoint.site.config import OFFSET_SIGMAS, Site
 _LEAST_NS, _LEAST = to_ns(1.0), 3
 # Of a node's messages: what a break held up came late.
 _SHARES = 0.1, 0.5, 0.9
+# Nothing comes later than this time after time.
+_LATEST_NS = to_ns(10.0)
 # No clock is off by more, whatever a damaged file says.
 _MOST_NS = 2**61
 
@@ -63,9 +65,13 @@ def _words(
         if abs(ahead_ns) > max(_LEAST_NS, borne_ns) + scatter_ns:
             way, late = ("ahead of", camera) if ahead_ns > 0 else ("behind", robot)
             sigma = math.ceil(10 * to_seconds(abs(ahead_ns)) / OFFSET_SIGMAS) / 10
+            remedy = (
+                f", or, if what {late} sends only comes that late, write time_offset_sigma = "
+                f"{sigma} for {camera}"
+            )
             yield (
                 f"the stamps of {robot} are {to_seconds(abs(ahead_ns)):.1f} s {way} those of "
                 f"{camera} by when both were recorded, so its pictures are held against where "
-                f"{robot} was at other times; synchronise the clocks (chrony), or, if what {late} "
-                f"sends only comes that late, write time_offset_sigma = {sigma} for {camera}"
+                f"{robot} was at other times; synchronise the clocks (chrony)"
+                f"{remedy if abs(ahead_ns) < _LATEST_NS else ''}"
             )

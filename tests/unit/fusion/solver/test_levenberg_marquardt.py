@@ -3,8 +3,6 @@
 from collections.abc import Callable
 from functools import cache
 from itertools import pairwise
-from types import SimpleNamespace
-from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -21,18 +19,14 @@ from support.fusion.small_problems import (
 
 from trigpoint.fusion.model.assembly import Assembled, assemble
 from trigpoint.fusion.model.jitter import Jitter
-from trigpoint.fusion.model.problem import Problem, RobotState, State
-from trigpoint.fusion.solver import levenberg_marquardt
+from trigpoint.fusion.model.problem import Problem, State
 from trigpoint.fusion.solver.equations import EXACT, covariance_of
 from trigpoint.fusion.solver.levenberg_marquardt import (
     Solution,
-    Solved,
     linearise,
     minimise,
     solve,
-    solve_consistently,
 )
-from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
 
@@ -355,28 +349,3 @@ def test_information_that_determines_nothing_has_no_covariance(
         information[2, 2] = information[3, 3] = 0.5 * abs(spoilt)
     with pytest.raises(LinAlgError):
         covariance_of(information)
-
-
-@pytest.mark.parametrize(("has_converged", "solves"), [(False, 2), (True, 21)])
-def test_two_solves_in_a_row_that_do_not_converge_end_it(
-    has_converged: bool, solves: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    found = list[Any]()
-
-    def solved(*_: Any, **_begun: bool) -> Any:
-        state, none = _with_scales(float(len(found))), cast(Any, None)
-        solution = Solution(state, none, 0.0, 1, has_converged)
-        found.append(Solved(state, none, solution, none, 1))
-        return found[-1]
-
-    monkeypatch.setattr(levenberg_marquardt, "_solve_once", solved)
-    data = SimpleNamespace(usable=lambda _: [0])
-    last = solve_consistently(cast(Any, data), _with_scales(-1.0), tolerance=1.0)
-    assert last is not None
-    assert len(found) == solves
-    assert not last.solution.has_converged
-
-
-def _with_scales(scale: float) -> State:
-    nothing = Pose.stack([])
-    return State({}, {"r1": RobotState(nothing, np.full(2, scale), nothing)})
