@@ -215,8 +215,10 @@ class Recorder:
             attachment=sample.attachment,
         )
         assert self._node is not None
-        self._node.health.count(f"recorded {sample.key}", int(is_taken))
-        self._node.health.lose(f"file {sample.key}", int(not is_taken))  # 0 begins what is counted
+        if is_taken:
+            self._node.health.count(f"recorded {sample.key}")
+        else:
+            self._node.health.lose(f"file {sample.key}")
 
     def _lose(self, key: str, count: int) -> None:
         """Count samples dropped by the bus's queue in the session too, where they are missing."""

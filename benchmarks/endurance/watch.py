@@ -52,7 +52,7 @@ class Heard(Struct):
 def main() -> None:
     site = load_site(Path(sys.argv[1]))
     over = threading.Event()
-    until = threading.Thread(target=lambda: (sys.stdin.read(), over.set()))
+    until = threading.Thread(target=lambda: (sys.stdin.read(), over.set()), daemon=True)
     until.start()
     with open_bus(site) as bus:
         ears = {topic: bus.subscribe(topic, topic.expression(site.name)) for topic in HEARD}

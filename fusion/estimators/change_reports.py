@@ -27,7 +27,7 @@ def _of_robot(data: DataSet, lifts: list[Lift]) -> str:
     first_ns, last_ns = min(lift.after_ns for lift in lifts), max(lift.before_ns for lift in lifts)
     text = (
         f"robot {robots} was put down elsewhere {_span(data, first_ns, last_ns)} while its "
-        "odometry showed nothing; its trajectory is split there, and it is located anew"
+        "odometry showed nothing; its trajectory is split there, and it is looked for anew"
     )
     if len(lifts) > 1:
         text += "; a camera that it met only in between has no place until it drives there again"
@@ -44,7 +44,7 @@ def _of_camera(data: DataSet, state: State, move: CameraMove) -> str:
         by = f" by {np.linalg.norm(new.translation - old.translation):.2f} m"
     return (
         f"camera {move.camera} was moved{by} {_span(data, move.until_ns, move.since_ns)}; it is "
-        "located anew, and what it saw before stays with its earlier place"
+        "looked for anew, and what it saw before stays with its earlier place"
     )
 
 

@@ -82,6 +82,7 @@ class Reader:
         self._site, self._feed, self._history, self._pictures = site, feed, history, pictures
         self._scene = Scene(site.name, site.cameras, site.robots)
         self._floor, self._alarms, self.health = Floor(site), Alarms(), Health(self._clock)
+        self._begun_s = round(to_seconds(self._clock.now_ns()))
         self._about = {"name": site.name, "link": "the bus is being opened"} | about
         self._grid: GridPicture | None = None
         self._statuses: dict[str, tuple[float, int, DiagnosticStatus]] = {}
@@ -248,6 +249,7 @@ class Reader:
         link = f"nobody answers at {unreached}; trying again" if unreached else ""
         about: Fields = self._about | {"peers": len(bus.peers), "link": link}
         about["begin"] = round(self._history.begin_s or 0)
+        about["started"] = self._begun_s
         shown: dict[str, Fields | None] = {"site": about, "plan": self._floor.fields}
         shown["grid"] = None if self._grid is None else self._grid.fields
         now_s = self._elapsed_s

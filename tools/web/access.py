@@ -179,8 +179,9 @@ class Guard:
         return name in self._names or _address(name) is not None
 
     def _is_own_page(self, request: Request) -> bool:
-        origin = request.headers.get("origin", "")
-        return _parts(origin).netloc == request.headers.get("host", "") != ""
+        origin = _parts(request.headers.get("origin", ""))
+        is_here = origin.netloc == request.headers.get("host", "") != ""
+        return is_here and origin.scheme == request.url.scheme
 
 
 def sent_on(request: Request, path: str) -> Response:

@@ -26,6 +26,7 @@ def plus_minus(sigma_m: float) -> str:
     return f"±{100 * sigma_m:.1f} cm" if round(sigma_m, 3) < 1 else f"±{sigma_m:.1f} m"
 
 
+_KEYS = "file "  # a recorder's losses, by key
 _OF_PICTURES = ("frozen", "given_up", "out_of_order", "unreadable")
 
 
@@ -36,6 +37,8 @@ def loss_words(losses: Mapping[str, int]) -> str:
 
 
 def _lost(name: str, count: int) -> str:
+    if name.startswith(_KEYS):  # which are named as they are
+        return f"{count} of {name.removeprefix(_KEYS)}"
     words = f"{'pictures ' * (name in _OF_PICTURES)}{name}".replace("_", " ")
     return f"{count} {words if count > 1 else re.sub(r's(?= |$)', '', words, count=1)}"
 

@@ -12,7 +12,7 @@ from trigpoint.contract.durations import BOUNDS_S, Durations
 from trigpoint.contract.messages import Diagnostics, DiagnosticStatus
 
 from .metric import LEVEL, REPORTED, Metric
-from .table import EVERY, METRICS, is_left_out, metric_of
+from .table import EVERY, LOST_BESIDE, METRICS, is_left_out, metric_of
 
 _WHO = {"edge": "camera", "robot": "robot"}
 
@@ -59,12 +59,14 @@ def _samples(
 ) -> Iterator[tuple[Metric, dict[str, str], float | Durations]]:
     kind = status.name.partition("/")[0]
     own = {LEVEL: str(status.level)} | ({REPORTED: str(stamp_ns)} if stamp_ns else {})
-    never = dict(_counters(kind)) if stamp_ns else {}
+    never, said = dict(_counters(kind)) if stamp_ns else {}, set[tuple[str, ...]]()
     for name, text in (own | status.values).items():
         if is_left_out(name):
             continue
         metric, labels = metric_of(kind, name)
-        never.pop((metric.name, *labels.values()), None)
+        said.add((metric.name, *labels.values()))
+        if stamp_ns and (lost := LOST_BESIDE.get(metric.name)):
+            never[lost.name, *labels.values()] = lost, labels
         if metric.text:
             # What follows a colon is why, for people; as a label it would be a series each time.
             yield metric, labels | {metric.text: text.partition(": ")[0]}, 1.0
@@ -73,8 +75,8 @@ def _samples(
                 yield metric, labels, durations
         elif (value := _number(text)) is not None:
             yield metric, labels, value * metric.scale
-    for metric, labels in never.values():  # else Prometheus's `increase` does not see the first
-        yield metric, labels, 0.0
+    for counter in never.keys() - said:  # else Prometheus's `increase` does not see the first
+        yield *never[counter], 0.0
 
 
 @cache

@@ -14,6 +14,15 @@ _REFUSED = (
     "out_of_order|no_odometry|jump|pull|other_map|not_connected|by_robot}"
 )
 
+_RECORDED = Metric("trigpoint_recorded_total", "recorded {key}.total", "messages recorded, by key")
+_RECORDING_LOST = Metric(
+    "trigpoint_recording_lost_total",
+    "file {key}.lost",
+    "messages that the disk was too slow for, or that it has no room for",
+)
+LOST_BESIDE = {_RECORDED.name: _RECORDING_LOST}
+"""Counters -> the one of losses that begins with each, by the same labels."""
+
 METRICS: dict[str, tuple[Metric, ...]] = {
     EVERY: (
         Metric("trigpoint_node_level", LEVEL, "0 well, 1 warning, 2 error"),
@@ -316,12 +325,8 @@ METRICS: dict[str, tuple[Metric, ...]] = {
         ),
     ),
     "recorder": (
-        Metric("trigpoint_recorded_total", "recorded {key}.total", "messages recorded, by key"),
-        Metric(
-            "trigpoint_recording_lost_total",
-            "file {key}.lost",
-            "messages that the disk was too slow for, or that it has no room for",
-        ),
+        _RECORDED,
+        _RECORDING_LOST,
     ),
     "view": (
         Metric("trigpoint_drawn_total", "drawn.total", "messages drawn"),

@@ -91,7 +91,7 @@ export class Tables {
 
   // What the server did not hear since its start may have been before.
   ago(at, now) {
-    return at ? `${spoken(now - at)} ago` : `not for ${spoken(now - (this.state.site?.begin ?? now))}`;
+    return at ? `${spoken(now - at)} ago` : `not for ${spoken(now - (this.state.site?.started || now))}`;
   }
 
   node(name, node) {

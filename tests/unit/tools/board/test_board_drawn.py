@@ -233,7 +233,7 @@ def test_errors_come_before_later_warnings_and_words_are_right_at_their_edges(
           tables.alarms(10);
           tables.show("node/a", { state: "ok", lost: 1 });
           tables.counts();
-          tables.show("site", { begin: 4 });
+          tables.show("site", { started: 4 });
           const ages = [tables.ago(8, 10), tables.ago(0, 10)];
           const lost = document.querySelector("#counts li:last-child").textContent;
           const alarms = [...document.querySelectorAll("#alarms span")];

@@ -20,6 +20,7 @@ def test_losses_are_said_in_words() -> None:
         loss_words({"serial_frames_missing": 1, "unsent": 2}) == "1 serial frame missing, 2 unsent"
     )
     assert loss_words({"pictures": 0}) == ""
+    assert loss_words({"file lab/tf_static": 1}) == "1 of lab/tf_static"
 
 
 @pytest.mark.parametrize(

@@ -152,6 +152,17 @@ def test_whatever_a_robot_may_refuse_begins_at_nothing() -> None:
     assert found == dict.fromkeys(reasons, 0.0)
 
 
+def test_a_recorders_losses_of_a_key_begin_with_its_first_message() -> None:
+    values = {"recorded a.total": "3", "recorded b.total": "2", "file b.lost": "1"}
+    page = generate_latest(registry_of({"recorder": values})).decode()
+    (lost,) = (
+        family
+        for family in text_string_to_metric_families(page)
+        if family.name == "trigpoint_recording_lost"
+    )
+    assert {one.labels["key"]: one.value for one in lost.samples} == {"a": 0.0, "b": 1.0}
+
+
 def counted() -> list[tuple[str, str]]:
     """(kind, value) of everything that the parts' code counts, loses or gauges by name."""
     found = []
