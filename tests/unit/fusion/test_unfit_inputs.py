@@ -119,6 +119,20 @@ def test_a_wrong_sighting_is_no_lens() -> None:
     assert not pipeline.arrivals.unfit.lenses
 
 
+@pytest.mark.parametrize(("rate", "seconds"), [(0.3, 22.0), (0.5, 22.0), (0.2, 44.0)])
+def test_odometry_of_other_lengths_is_said_where_it_had_pictures_rejected(
+    rate: float, seconds: float
+) -> None:
+    """What contradicts it is not used then: cameras were 30 cm off at 40 sigmas, and all fitted."""
+    plan = lab_plan(picture_rate=rate, seconds=seconds)
+    robot = replace(plan.robots["r1"], scales=(0.15, 0.0))
+    session = make_session(replace(plan, robots={"r1": robot}))
+    pipeline = pushed(session.inputs, session.messages)
+    (words,) = pipeline.arrivals.odometry.otherwise.values()
+    assert re.search(r"lengths are told 1\.1\d times too short", words)
+    assert pipeline.results().network.located == []
+
+
 def test_calibrate_gives_no_cameras_that_rest_on_other_lenses(tmp_path: Path, cli: Cli) -> None:
     plan = told(lab_plan(picture_rate=1.0), longer(0.95), "c1")
     said = cli("calibrate", write_session(make_session(plan), tmp_path), status=1)

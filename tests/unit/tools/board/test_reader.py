@@ -89,6 +89,11 @@ def test_of_each_robot_the_newest_pose_is_shown() -> None:
     assert "at" not in entities["robot/r3"]
 
 
+def test_since_when_it_is_listened_is_said_for_ever() -> None:
+    entities, _ = shown(lambda _bus: None)
+    assert entities["site"]["started"] == 10**9
+
+
 def test_a_pose_that_is_not_sound_and_a_stranger_hide_no_other_and_are_counted() -> None:
     def say(bus: MemoryBus) -> None:
         put(bus, "r1", 1.0)

@@ -1,6 +1,7 @@
 """The command `calibrate`, as a user runs it."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -131,6 +132,22 @@ def test_known_network_is_the_prior(recorded: Path, tmp_path: Path) -> None:
     assert after.located == before.located
     for name in after.located:
         assert after.cameras[name].position_sigma < before.cameras[name].position_sigma + 2e-4
+
+
+def test_known_camera_that_saw_nothing_has_no_rms(
+    recorded: Path, drive: Session, tmp_path: Path, cli: Cli
+) -> None:
+    """A traceback ended it."""
+    first = tmp_path / "first"
+    cli("calibrate", recorded, "--out", first)
+    messages = tuple(
+        (node, message)
+        for node, message in drive.messages
+        if node != "c1" or not isinstance(message, Sightings)
+    )
+    blind = write_session(replace(drive, messages=messages), tmp_path / "blind")
+    said = cli("calibrate", blind, "--network", first / "network.json")
+    assert re.search(r"c1 +located .* 0 +0 +–", said.out)
 
 
 def test_site_that_learns_nothing_is_refused(
