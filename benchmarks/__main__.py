@@ -15,6 +15,7 @@ from .table import BENCHMARKS, Row, columns
 _FOLDER = Path("out")
 sys.path.append(str(Path(__file__).parents[1] / "tests"))  # whose helpers some of them share
 
+_INSTALL = "pip install -c constraints.txt -e '.[bench]'"
 _SHORT = [name for name, benchmark in BENCHMARKS.items() if benchmark.is_short]
 
 
@@ -38,12 +39,13 @@ def measure(
     before, rows = machine(), list[Row]()
     for name in chosen:
         if not BENCHMARKS[name].is_installed:
-            why = "left out; pip install -c constraints.txt -e '.[bench]'"
-            typer.echo(f"{name}: {why}", err=True)
+            typer.echo(f"{name}: left out; {_INSTALL}", err=True)
             continue
         began = time.perf_counter()
         rows += BENCHMARKS[name].open()(effort) or []
         typer.echo(f"{name}: measured in {time.perf_counter() - began:.0f} s", err=True)
+    if not rows:
+        return
     tell(rows)
     write_report(json, rows, before, effort=effort)
     typer.echo(f"{before.summary} (at the start)\nwritten to {json}")
@@ -58,6 +60,8 @@ def main() -> None:
     name, *words = sys.argv[1:]
     if name not in BENCHMARKS or name in _SHORT:
         _run(measure, sys.argv[1:], "python -m benchmarks")
+    elif not BENCHMARKS[name].is_installed:
+        sys.exit(f"{name}: {_INSTALL}")
     else:
         own, program = BENCHMARKS[name].open(), f"python -m benchmarks {name}"
         if isinstance(own, typer.Typer):
