@@ -192,11 +192,10 @@ class Search:
     def _apart(self, hypothesis: Hypothesis, first: _Spot, second: _Spot, by: str) -> float:
         """Return -2 ln of the likelihood that two places of a camera are apart by nothing, or
         by a push, with the evidence of the visits among them."""
-        placed = hypothesis.placed
-        assert placed is not None
-        known, key = self._likelihoods.setdefault(placed.factor, {}), (first, second, by)
+        assert hypothesis.placed is not None
+        known, key = self._likelihoods.setdefault(hypothesis.placed.factor, {}), (first, second, by)
         if key not in known:
-            cost = agreement(self.graph, placed, first, second, self._apart_by[by])
+            cost = agreement(self.graph, hypothesis.placed, first, second, self._apart_by[by])
             known[key] = log_sum(cost.reshape(-1).tolist())
         return known[key]
 
@@ -384,17 +383,18 @@ class Search:
     # -- which modes agree ------------------------------------------------------------------------
 
     def _pairs(self, join: _Join) -> list[_Pair]:
-        """Return the pairs of modes that agree best, within the window of the best one."""
-        before = join.before
+        """Return the pairs of modes that agree best: within the window of the best one, but all of
+        a robot that was lifted, of whose heading since too little is known to judge so."""
+        before, robot = join.before, self.visits[join.number].visit.robot
         assert before.placed is not None
+        apart = np.inf if any(robot == lifted for lifted, _ in before.breaks) else _WINDOW
         is_open = bool(join.there) and join.there[0] in before.open
         first = join.there[0] if is_open else (self.visits[join.number].visit.camera, join.place)
         cost = agreement(self.graph, before.placed, first, join.number)
-        best = float(cost.min())
         order = np.argsort(cost, axis=None, kind="stable")[:_MOST_PAIRS]
         rows, columns = np.unravel_index(order, cost.shape)
         return [
             (int(row) if is_open else None, int(column))
             for row, column in zip(rows, columns, strict=True)
-            if cost[row, column] < best + _WINDOW
+            if cost[row, column] < cost.min() + apart
         ]
