@@ -59,7 +59,7 @@ def simulated_site(folder: Path, real: Site | None, cameras: Sequence[str]) -> S
         )
     link = folder.absolute() / robot_port(robot)
     world_of = {"world": _WORLD, "seed": _SEED, "target": _TARGET}
-    robots = firmware(robot, epoch_ns=epoch_ns, link=link, **world_of)
+    robots = firmware(robot, epoch_ns=epoch_ns, link=link, stands_s=_LEAD_S, **world_of)
     return Simulated(site, robot, robots, world.duration_s)
 
 

@@ -196,9 +196,11 @@ def main(
     ] = False,
     protocol: Annotated[str, typer.Option(help="What it speaks.")] = "trigpoint",
     version: Annotated[int, typer.Option(help="Protocol version to claim, for tests.")] = 1,
+    stands_s: Annotated[float, typer.Option(help="How long it stands and sends before.")] = 0.0,
 ) -> None:
     """The firmware of a simulated robot on a pseudo-terminal, until it is told to stop."""
-    readings = Readings(load_world(world, seed=seed, target=target).odometry(robot), epoch_ns)
+    odometry = load_world(world, seed=seed, target=target).odometry(robot)
+    readings = Readings(odometry, epoch_ns, stands_s)
     clock = FirmwareClock(time.time_ns(), drift_ppm)
     speaker = make_speaker(protocol, robot, readings, clock, zero=counters_restart, version=version)
     with ExitStack() as files:

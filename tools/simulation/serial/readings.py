@@ -12,11 +12,12 @@ from trigpoint.tools.simulation.motion.odometry import OdometryLog, increments
 
 
 class Readings(Struct, frozen=True, dict=True):
-    """A robot's odometry, which it sends before the world's start and after its end too, as it
-    stands; the readings before the start have numbers below 0."""
+    """A robot's odometry; after the world's end it stands still and goes on sending. So it does for
+    `stands_s` before the start, by numbers below 0."""
 
     log: OdometryLog
     epoch_ns: int
+    stands_s: float = 0.0
     _ways: dict[float, Array] = field(default_factory=dict)
 
     @property
@@ -26,15 +27,21 @@ class Readings(Struct, frozen=True, dict=True):
     def first_after(self, unix_ns: int) -> int:
         """The number of the first reading at or after a time."""
         elapsed_s = (unix_ns - self.epoch_ns) / NANOSECONDS
-        return int(np.ceil((elapsed_s - self.log.stamps_s[0]) / self.period_s))
+        number = int(np.ceil((elapsed_s - self.log.stamps_s[0]) / self.period_s))
+        return max(self._earliest, number)
 
     def unix_ns(self, number: int) -> int:
         return self.epoch_ns + to_ns(float(self.log.stamps_s[0]) + number * self.period_s)
 
     def number(self, unix_ns: int) -> int:
-        """The number of the last reading at or before a time."""
+        """The number of the last reading at or before a time, of the first one before that."""
         elapsed_s = (unix_ns - self.epoch_ns) / NANOSECONDS
-        return int(np.floor((elapsed_s - self.log.stamps_s[0]) / self.period_s + 1e-6))
+        number = int(np.floor((elapsed_s - self.log.stamps_s[0]) / self.period_s + 1e-6))
+        return max(self._earliest, number)
+
+    @property
+    def _earliest(self) -> int:
+        return -int(self.stands_s / self.period_s)
 
     def pose(self, number: int) -> Pose:
         """odom_from_base."""

@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 
 import numpy as np
+from msgspec.structs import replace
 
 from trigpoint.base.clock import to_ns
 from trigpoint.geometry import Pose
@@ -21,16 +22,18 @@ def readings() -> Readings:
 
 
 def test_restarted_firmware_goes_on_with_the_reading_that_is_due() -> None:
+    assert readings().first_after(EPOCH_NS - to_ns(5.0)) == 0
     assert readings().first_after(EPOCH_NS + to_ns(0.05)) == 3
     assert readings().unix_ns(3) == EPOCH_NS + to_ns(0.06)
 
 
 def test_robot_stands_before_the_worlds_start_and_sends_already() -> None:
-    assert readings().first_after(EPOCH_NS - to_ns(5.0)) == -250
-    assert readings().number(EPOCH_NS - to_ns(0.03)) == -2
-    assert readings().unix_ns(-2) == EPOCH_NS - to_ns(0.04)
-    assert readings().pose(-2).translation[0] == readings().pose(0).translation[0]
-    assert readings().twist(-2)[0].tolist() == [0, 0, 0]
+    standing = replace(readings(), stands_s=4.0)
+    assert standing.first_after(EPOCH_NS - to_ns(5.0)) == -200
+    assert standing.number(EPOCH_NS - to_ns(0.03)) == -2
+    assert standing.unix_ns(-2) == EPOCH_NS - to_ns(0.04)
+    assert standing.pose(-2).translation[0] == standing.pose(0).translation[0]
+    assert standing.twist(-2)[0].tolist() == [0, 0, 0]
 
 
 def test_robot_stands_after_the_worlds_end_and_goes_on_sending() -> None:
