@@ -75,8 +75,9 @@ def _samples(
                 yield metric, labels, durations
         elif (value := _number(text)) is not None:
             yield metric, labels, value * metric.scale
-    for counter in never.keys() - said:  # else Prometheus's `increase` does not see the first
-        yield *never[counter], 0.0
+    for counter, (metric, labels) in never.items():
+        if counter not in said:  # else Prometheus's `increase` does not see the first
+            yield metric, labels, 0.0
 
 
 @cache
