@@ -385,8 +385,9 @@ class Pipeline:
         results = self.reports.results()
         if self._fixed is None:
             results = replace(results, network=self.arrivals.explained(results.network))
-        why = self.arrivals.contradicted
-        return results.unlocated(why) if why else results
+        if self.arrivals.are_elsewhere:
+            return results.unlocated(f"position and orientation: {self.arrivals.contradicted}")
+        return results
 
     def guidance_world(self) -> GuidanceWorld | None:
         """A copy of what is known, for guidance; None where that is too little, or not told."""

@@ -46,8 +46,8 @@ def _other(data: DataSet, camera: str, share: float) -> CameraModel | None:
     mine = [as_it_came(data, e.observation) for place in places for e in data.of_camera(place)]
     mine.sort(key=lambda observation: observation.stamp_ns)
     draft = data.draft()
-    free = replace(draft.site.cameras[camera], intrinsics="estimate")
-    site = replace(draft.site, cameras={**draft.site.cameras, camera: free})
+    config = replace(draft.site.cameras[camera], intrinsics="estimate")
+    site = replace(draft.site, cameras={**draft.site.cameras, camera: config})
     told, free = (
         world_of(each, mine, Memory(Budget.of(data.tracks.values(), share=share / 2)))
         for each in (draft, replace(draft, site=site))

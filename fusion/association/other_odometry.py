@@ -96,14 +96,14 @@ def otherwise(data: DataSet) -> dict[str, str]:
     # The same share for each, so that the last robot is not left without.
     budget = Budget.of(data.tracks.values(), share=_SHARE / (1 + len(ways)))
     memory = Memory(replace(budget))
-    told = score_of(draft, every, memory)
+    told = _score(draft, every, memory)
     if not np.isfinite(told):
         return {}
     found = dict[str, str]()
     for robot, tracks in ways.items():
         mine = Memory(replace(budget), memory.alone)
         scores = {
-            words: score_of(replace(draft, tracks=draft.tracks | {robot: track}), every, mine)
+            words: _score(replace(draft, tracks=draft.tracks | {robot: track}), every, mine)
             for words, track in tracks.items()
         }
         best = min(scores.values())
@@ -165,7 +165,7 @@ def as_it_came(data: DataSet, seen: Observation) -> Observation:
     return replace(seen, camera=camera, chosen=None, verdict=Verdict.PENDING, outliers=())
 
 
-def score_of(data: DataSet, observations: list[Observation], memory: Memory) -> float:
+def _score(data: DataSet, observations: list[Observation], memory: Memory) -> float:
     """The score of what explains observations best, inf where the budget does not suffice;
     `memory`: of which only that and what holds for any odometry is used."""
     world = world_of(data, observations, memory)
@@ -173,7 +173,7 @@ def score_of(data: DataSet, observations: list[Observation], memory: Memory) -> 
 
 
 def world_of(data: DataSet, observations: list[Observation], memory: Memory) -> World:
-    """What explains the visits with the most pictures; see `score_of`."""
+    """What explains the visits with the most pictures; see `_score`."""
     events = Events(data.site.fusion.priors)
     visits = sorted(visits_of(data, observations), key=lambda visit: -len(visit.indices))
     noise = SessionNoise(dict.fromkeys(data.site.robots, PESSIMISTIC))

@@ -67,7 +67,6 @@ class Search:
         self._graphs = Minima(graph)
         # By graph, which many hypotheses that grow from one share: `_apart`.
         self._likelihoods = WeakKeyDictionary[Factor, dict[object, float]]()
-        self._apart_by = {"nothing": np.zeros((6, 6)), "a push": events.push}
         self._open_score = [
             log_sum(modes.evidence.tolist()) + events.pose_score for modes in graph.modes
         ]
@@ -154,7 +153,7 @@ class Search:
     def _moved_score(self, hypothesis: Hypothesis, earlier: _Spot, later: _Spot) -> float:
         """Return the score of a camera's move from one of its places to the next, which may have
         been only a push (`Events.moved`)."""
-        apart = self._apart(hypothesis, earlier, later, "a push")
+        apart = self._apart(hypothesis, earlier, later, is_pushed=True)
         apart -= sum(self._seen_score(each) for each in (earlier, later))
         return self.events.moved(apart)
 
@@ -165,8 +164,8 @@ class Search:
         nothing, place = self.visits[number].nothing, self._place_about(hypothesis, number)
         if place is None:
             return nothing
-        near = self._apart(hypothesis, place, number, "a push") + self.events.wrong_score
-        if near > self._apart(hypothesis, place, number, "nothing"):
+        near = self._apart(hypothesis, place, number, is_pushed=True) + self.events.wrong_score
+        if near > self._apart(hypothesis, place, number, is_pushed=False):
             return nothing
         near -= self._seen_score(place)
         return -2 * (float(np.logaddexp(-0.5 * nothing, -0.5 * near)) - math.log(2))
@@ -189,13 +188,14 @@ class Search:
         nearest = max([n for n in mine if n < number] or mine[:1])
         return nearest if nearest in hypothesis.open else (camera, hypothesis.places[nearest])
 
-    def _apart(self, hypothesis: Hypothesis, first: _Spot, second: _Spot, by: str) -> float:
-        """Return -2 ln of the likelihood that two places of a camera are apart by nothing, or
-        by a push, with the evidence of the visits among them."""
-        assert hypothesis.placed is not None
-        known, key = self._likelihoods.setdefault(hypothesis.placed.factor, {}), (first, second, by)
+    def _apart(self, hypothesis: Hypothesis, one: _Spot, other: _Spot, *, is_pushed: bool) -> float:
+        """Return -2 ln of the likelihood that two places of a camera are one, or a push apart, with
+        the evidence of the visits among them."""
+        placed = hypothesis.placed
+        assert placed is not None
+        known, key = self._likelihoods.setdefault(placed.factor, {}), (one, other, is_pushed)
         if key not in known:
-            cost = agreement(self.graph, hypothesis.placed, first, second, self._apart_by[by])
+            cost = agreement(self.graph, placed, one, other, is_pushed * self.events.push)
             known[key] = log_sum(cost.reshape(-1).tolist())
         return known[key]
 

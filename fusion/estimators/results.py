@@ -59,9 +59,10 @@ class Results(Struct, frozen=True):
             else camera
             for name, camera in self.network.cameras.items()
         }
-        return replace(
-            self, network=replace(self.network, cameras=cameras), covariance=np.zeros((0, 0))
-        )
+        left = [cameras[name].status == "located" for name in self.network.located]
+        rows = np.flatnonzero(np.repeat(left, 6))
+        network = replace(self.network, cameras=cameras)
+        return replace(self, network=network, covariance=self.covariance[np.ix_(rows, rows)])
 
     def save(self, directory: Path) -> None:
         """Write network.json, covariance.npz and the trajectories."""

@@ -41,10 +41,11 @@ _SCALES = (slice(1), other_lengths), (slice(1, 2), other_turns)
 
 class Unfit(Struct, frozen=True):
     """What fits of what was given, in `words`, and whether it is the cause that a camera is farther
-    from its place than its sigma says (`is_harmful`)."""
+    from its place than its sigma says (`is_harmful`), and by more than is little (`is_far`)."""
 
     words: str
     is_harmful: bool
+    is_far: bool
 
 
 class UnfitInputs(Struct, frozen=True):
@@ -58,13 +59,12 @@ class UnfitInputs(Struct, frozen=True):
         """The same where cameras' pictures are known to fit these lenses far better."""
         found = dict[str, Unfit]()
         for name, lens in lenses.items():
-            given, sigmas = (
-                data.lenses[name],
-                lens_sigmas(data.site.cameras[name], data.lenses[name]),
-            )
+            given = data.lenses[name]
             step = lens.parameters - given.parameters
-            part = max(_PARTS, key=lambda part: np.abs(step / sigmas)[part].max(initial=0.0))
-            found[name] = Unfit(_words(part, given.parameters, step), is_harmful=True)
+            far = np.abs(step / lens_sigmas(data.site.cameras[name], given))
+            part = max(_PARTS, key=lambda part: far[part].max(initial=0.0))
+            words = _words(part, given.parameters, step)
+            found[name] = Unfit(words, is_harmful=True, is_far=True)
         return replace(self, lenses=found | self.lenses)
 
 
@@ -79,16 +79,16 @@ def unfit_inputs(
     problem = _freed(data, problem, state, given)
     change = _Change(linearise(problem, state).reduced(), problem.priors, max(1.0, scale))
     lenses, scales = _lenses(change, state, given), dict[str, Unfit]()
-    harm = bool(lenses) and _is_harmful(data, change.shifts(list(lenses)), reduced)
+    harm = _harm(data, change.shifts(list(lenses)), reduced) if lenses else (False, False)
     for robot in problem.chains:
         part, words = max(_SCALES, key=lambda each: change.chi2([robot], each[0]))
         if change.chi2([robot], part) > chi2_limit(1, EVIDENCE / len(problem.chains) / 2):
             longer = state.robots[robot].scales + change.step([robot])
             by = 1 / (1 + np.clip(longer, -_LINEAR, _LINEAR))
-            is_harmful = _is_harmful(data, change.shifts([robot], part), reduced)
-            scales[robot] = Unfit(words(float(by[part][0])), is_harmful)
+            beside = _harm(data, change.shifts([robot], part), reduced)
+            scales[robot] = Unfit(words(float(by[part][0])), *beside)
     return UnfitInputs(
-        {data.site_camera(name): Unfit(words, harm) for name, words in lenses.items()}, scales
+        {data.site_camera(name): Unfit(words, *harm) for name, words in lenses.items()}, scales
     )
 
 
@@ -166,15 +166,18 @@ def _words(part: slice, given: Array, step: Array) -> str:
     return "other distortion coefficients fit"
 
 
-def _is_harmful(data: DataSet, shifts: dict[str, Array], stated: Reduced) -> bool:
-    """Whether a camera is farther off than its covariance allows, by these shifts (6,), and by more
-    than is little."""
+def _harm(data: DataSet, shifts: dict[str, Array], stated: Reduced) -> tuple[bool, bool]:
+    """Whether a camera is farther off than its covariance allows, by these shifts (6,), and one
+    that is by more than is little."""
     covariance, columns = stated.covariance(), stated.layout.pose
-    return any(
-        shift @ np.linalg.solve(covariance[np.ix_(columns[name], columns[name])], shift) > _BEYOND
+    beyond = [
+        shift
         for name, shift in shifts.items()
-        if name in data.site.cameras and not are_little(shift)
-    )
+        if name in data.site.cameras
+        and shift @ np.linalg.solve(covariance[np.ix_(columns[name], columns[name])], shift)
+        > _BEYOND
+    ]
+    return bool(beyond), not all(are_little(shift) for shift in beyond)
 
 
 def _freed(data: DataSet, problem: Problem, state: State, cameras: list[str]) -> Problem:

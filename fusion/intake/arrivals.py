@@ -137,7 +137,7 @@ class Arrivals:
 
     @property
     def contradicted(self) -> str:
-        """Why no camera is where it seems: clocks that are apart, robots' odometry that they
+        """Why cameras are not where they seem: clocks that are apart, robots' odometry that they
         contradict, or a target, or lenses that are not theirs; "" where nothing is known against
         that."""
         causes = list[str]()
@@ -154,7 +154,15 @@ class Arrivals:
                 "cameras are farther off than their sigmas, since pictures do not fit the lens of "
                 f"{', '.join(sorted(self.unfit.lenses))}"
             )
-        return f"position and orientation: {'; and '.join(causes)}" if causes else ""
+        return "; and ".join(causes)
+
+    @property
+    def are_elsewhere(self) -> bool:
+        """Whether what contradicts them puts cameras elsewhere by more than is little."""
+        unfit = [*self.unfit.scales.values(), *self.unfit.lenses.values()]
+        return bool(self.clocks or self.odometry.otherwise) or any(
+            each.is_harmful and each.is_far for each in unfit
+        )
 
     @property
     def apart(self) -> dict[str, str]:

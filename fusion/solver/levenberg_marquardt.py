@@ -193,6 +193,8 @@ def _between(
             low, high = here, _lighter(high) if low else high
         elif here[1] < 0:
             low, high = _lighter(low) if high else low, here
+        if low and high and low[0] >= high[0]:  # all else moved: the older end is none any more
+            low, high = (here, None) if here[1] > 0 else (None, here)
         if here[1] and low and high:
             share = low[1] / (low[1] - high[1])
             place_s = low[0] + share * (high[0] - low[0])

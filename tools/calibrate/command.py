@@ -87,6 +87,8 @@ def main(
     if not json:
         typer.echo(f"written to {folder}; open {folder / REPORT} in a browser")
     _check_used(results, [*pipeline.arrivals.doubts, *results.doubts])
+    if why := pipeline.arrivals.contradicted:
+        raise OperationError(f"do not use these cameras: {why}; correct what the notes above say")
 
 
 def _worked_out(task: Task) -> Pipeline:

@@ -43,6 +43,7 @@ def write_report(
             corrected=_corrected(pipeline, results),
             error=error,
             noise=results.noise,
+            contradicted=pipeline.arrivals.contradicted if results.network.located else "",
             building=alignment.building,
             building_problem=alignment.problem,
             session=str(session),

@@ -22,7 +22,8 @@ class CalibrationResults(Struct, frozen=True, eq=False):
     `left_out` of the session by reason, `notes` on it in words, the next poses to visit, the
     `error` against the truth where that is known, and which `noise` is not as stated, in words.
     `building`: where the map lies in it, None where that is not asked for, or cannot be told for
-    the `building_problem`. `corrected`: how well robots would be corrected where they drove.
+    the `building_problem`. `corrected`: how well robots would be corrected where they drove;
+    `contradicted`: why located cameras are not to be used.
 
     `session`, `folder`: the recording and where the results are, as the reader may type them.
     """
@@ -41,6 +42,7 @@ class CalibrationResults(Struct, frozen=True, eq=False):
     building_problem: str = ""
     corrected: tuple[AccuracyMap, ...] = ()
     noise: tuple[str, ...] = ()
+    contradicted: str = ""
 
     @property
     def seconds(self) -> float:

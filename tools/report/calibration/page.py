@@ -41,6 +41,7 @@ def calibration_page(results: CalibrationResults) -> str:
     network = results.network
     return html_page(
         f"Trigpoint calibration of {network.site}",
+        _contradicted(results),
         _undetermined(results),
         _unconfirmed(results),
         summary(results),
@@ -71,6 +72,11 @@ def _lead(results: CalibrationResults) -> str:
         "the joint covariance of all cameras, in the map: the frame in which the first robot's "
         "odometry began."
     )
+
+
+def _contradicted(results: CalibrationResults) -> str:
+    items = [escape(words) for words in (results.contradicted, *results.notes)]
+    return warning("Why they are not to be used", items) if results.contradicted else ""
 
 
 def _undetermined(results: CalibrationResults) -> str:

@@ -11,6 +11,8 @@ def headline(results: CalibrationResults) -> str:
     worst = results.worst
     if worst is None:
         return "No camera could be located"
+    if results.contradicted:
+        return "Do not use these cameras"
     sigma = centimetres(results.network.cameras[worst].position_sigma)
     if count == 1:
         return f"The camera is located, to {sigma}"

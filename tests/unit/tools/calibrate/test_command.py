@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 from support.commands import Cli
-from support.fusion.drives import Session, offline, write_session
+from support.fusion.drives import Session, lab_plan, make_session, offline, write_session
 
 from trigpoint.cli import run
 from trigpoint.contract.messages import Message, Odometry, Sightings
@@ -148,6 +148,22 @@ def test_known_camera_that_saw_nothing_has_no_rms(
     blind = write_session(replace(drive, messages=messages), tmp_path / "blind")
     said = cli("calibrate", blind, "--network", first / "network.json")
     assert re.search(r"c1 +located .* 0 +0 +–", said.out)
+
+
+def test_what_contradicts_the_session_is_status_1_beside_a_known_camera_that_saw_nothing(
+    recorded: Path, tmp_path: Path, cli: Cli
+) -> None:
+    """Which stays where it was known: since one is located, nothing said that the rest are not."""
+    first = tmp_path / "first"
+    cli("calibrate", recorded, "--out", first)
+    plan = lab_plan(picture_rate=1.0)
+    longer = {"r1": replace(plan.robots["r1"], scales=(0.15, 0.0))}
+    session = make_session(replace(plan, robots=longer))
+    seen = [(n, m) for n, m in session.messages if n != "c1" or not isinstance(m, Sightings)]
+    blind = write_session(replace(session, messages=tuple(seen)), tmp_path / "blind")
+    said = cli("calibrate", blind, "--network", first / "network.json", status=1)
+    assert load_network(blind / "calibration").located == ["c1"]
+    assert "do not use these cameras: what cameras saw contradicts the odometry of r1" in said.err
 
 
 def test_site_that_learns_nothing_is_refused(
