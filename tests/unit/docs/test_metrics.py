@@ -84,3 +84,5 @@ def test_alerts_and_dashboard_use_metrics_and_labels_that_exist() -> None:
         }
         counters = {name for name in names if re.search(f"(?:_total|{HISTOGRAM})$", name)}
         assert counters <= ranged, expression
+        called = re.findall(rf"(\w+\()?(trigpoint_\w+(?:_total|{HISTOGRAM}))\b", expression)
+        assert all(function in ("rate(", "increase(") for function, _ in called), expression

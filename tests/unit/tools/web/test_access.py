@@ -146,7 +146,7 @@ def test_every_answer_has_the_headers(monkeypatch: pytest.MonkeyPatch) -> None:
             assert "unsafe" not in policy
             assert "frame-ancestors 'none'" in policy
             assert answer.headers["x-content-type-options"] == "nosniff"
-            assert answer.headers["referrer-policy"] == "same-origin"
+            assert answer.headers["referrer-policy"] == "no-referrer"
             assert "cache-control" in answer.headers
             assert "server" not in answer.headers
 

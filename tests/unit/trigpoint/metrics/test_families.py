@@ -43,10 +43,11 @@ def registry_of(nodes: dict[str, dict[str, str]]) -> CollectorRegistry:
 
 
 def samples(name: str, health: Health) -> dict[str, tuple[dict[str, str], float]]:
-    """Every sample of one node's diagnostics, as a Prometheus would read it."""
+    """Of every metric of one node's diagnostics the sample of most, as a Prometheus reads it."""
     page = generate_latest(registry_of({name: health.report().values})).decode()
-    read = text_string_to_metric_families(page)
-    return {one.name: (one.labels, one.value) for family in read for one in family.samples}
+    read = [one for family in text_string_to_metric_families(page) for one in family.samples]
+    read.sort(key=lambda one: one.value)
+    return {one.name: (one.labels, one.value) for one in read}
 
 
 def test_a_cameras_counters_have_names_units_and_labels() -> None:
@@ -68,7 +69,7 @@ def test_a_cameras_counters_have_names_units_and_labels() -> None:
         "trigpoint_report_timestamp_seconds": (who, 5.0),
         "trigpoint_pictures_total": (who, 7.0),
         "trigpoint_pictures_skipped_total": (who, 2.0),
-        "trigpoint_pictures_unusable_total": (who | {"reason": "out_of_order"}, 0.0),
+        "trigpoint_pictures_unusable_total": (who | {"reason": "frozen"}, 3.0),
         "trigpoint_certificate_left_seconds": (who, 43200.0),
         "trigpoint_source_state": (who | {"state": "running"}, 1.0),
         "trigpoint_sent_total": (who | {"key": "lab/camera/c1/sightings"}, 6.0),
