@@ -2,13 +2,12 @@
 
 from msgspec import Struct
 
-from trigpoint.base.clock import Clock, to_ns
+from trigpoint.base.clock import Clock, ahead_of_elapsed_ns, to_ns
 from trigpoint.recorder.mcap.writer import Message
 
 _JUMP_NS = to_ns(0.05)
 """A clock kept by NTP slews at most half a millisecond per second, and it is checked ten times a
 second. A hundred times that is a step."""
-_FIRST_READINGS = 3
 
 
 class ClockJump(Struct, frozen=True):
@@ -25,25 +24,17 @@ class LogTimes:
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
         self._offset_ns = 0
-        readings = [self._step_between() for _ in range(_FIRST_READINGS)]
-        self._step_ns, _ = min(readings, key=lambda step: step[1] - step[0])
+        self._step_ns, _ = ahead_of_elapsed_ns(clock.now_ns, clock.elapsed_ns)
         self.jumps: list[ClockJump] = []
 
     def look(self) -> None:
         """Check whether the clock was set; call it often."""
-        least_ns, most_ns = self._step_between()
+        least_ns, most_ns = ahead_of_elapsed_ns(self._clock.now_ns, self._clock.elapsed_ns)
         step_ns = min(max(self._step_ns, least_ns), most_ns)
         jump_ns, self._step_ns = step_ns - self._step_ns, step_ns
         if abs(jump_ns) > _JUMP_NS:
             self._offset_ns = max(0, self._offset_ns - jump_ns)
             self.jumps.append(ClockJump(self.now_ns(), jump_ns / 1e9))
-
-    def _step_between(self) -> tuple[int, int]:
-        """Between what the machine's time is ahead of the elapsed one: a busy machine may hold the
-        thread for long after it read one of them."""
-        before_ns = self._clock.elapsed_ns()
-        now_ns = self._clock.now_ns()
-        return now_ns - self._clock.elapsed_ns(), now_ns - before_ns
 
     def now_ns(self) -> int:
         """The current log time."""

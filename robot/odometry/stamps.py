@@ -2,7 +2,7 @@
 
 from msgspec import Struct
 
-from trigpoint.base.clock import Clock, to_ns, to_seconds
+from trigpoint.base.clock import Clock, ahead_of_elapsed_ns, to_ns, to_seconds
 from trigpoint.contract.messages import Mended
 from trigpoint.node.health import Health, mended_count
 from trigpoint.robot.line.firmware_clock import FirmwareClock
@@ -26,14 +26,8 @@ class Offset(Struct, frozen=True):
 
 
 def measured_offset(clock: Clock) -> Offset:
-    """Unix time minus the monotonic clock, from the closest of a few pairs of readings."""
-    best_ns, offset_ns = None, 0
-    for _ in range(5):
-        before_ns, now_ns, after_ns = clock.elapsed_ns(), clock.now_ns(), clock.elapsed_ns()
-        if best_ns is None or after_ns - before_ns < best_ns:
-            best_ns = after_ns - before_ns
-            offset_ns = now_ns - (before_ns + after_ns) // 2
-    return Offset(offset_ns)
+    """Unix time minus the monotonic clock."""
+    return Offset(sum(ahead_of_elapsed_ns(clock.now_ns, clock.elapsed_ns)) // 2)
 
 
 class Stamps:

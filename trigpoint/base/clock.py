@@ -29,6 +29,16 @@ class Clock(Protocol):
         ...
 
 
+def ahead_of_elapsed_ns(
+    unix_ns: Callable[[], int], elapsed_ns: Callable[[], int]
+) -> tuple[int, int]:
+    """The bounds of Unix time minus the monotonic clock, from the closest of a few pairs of
+    readings: a busy machine may hold a thread between two."""
+    readings = [(elapsed_ns(), unix_ns(), elapsed_ns()) for _ in range(5)]
+    before_ns, now_ns, after_ns = min(readings, key=lambda each: each[2] - each[0])
+    return now_ns - after_ns, now_ns - before_ns
+
+
 class SystemClock:
     """The machine's clock."""
 
@@ -94,14 +104,7 @@ class SteadyClock:
         return self._set_by_ns
 
     def _measured_ns(self) -> int:
-        """Unix time minus the monotonic clock, from the closest of a few pairs of readings."""
-        best_ns, offset_ns = None, 0
-        for _ in range(5):
-            before_ns, now_ns, after_ns = self._elapsed_ns(), self._unix_ns(), self._elapsed_ns()
-            if best_ns is None or after_ns - before_ns < best_ns:
-                best_ns = after_ns - before_ns
-                offset_ns = now_ns - (before_ns + after_ns) // 2
-        return offset_ns
+        return sum(ahead_of_elapsed_ns(self._unix_ns, self._elapsed_ns)) // 2
 
 
 class ManualClock:
